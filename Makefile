@@ -1,0 +1,36 @@
+# Two commands do everything on a fresh machine, virtual environment included: `make benchmark` and `make test`.
+PYTHON ?= python3
+BIN := .venv/bin
+export OMP_NUM_THREADS ?= 1
+
+.PHONY: benchmark test integration lint types unit format clean
+
+benchmark: .venv/installed  ## the leaderboard on the bundled recordings
+	$(BIN)/mixo benchmark
+
+test: lint types unit  ## what every change must pass
+
+lint: .venv/installed
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+types: .venv/installed
+	$(BIN)/pyright
+
+unit: .venv/installed
+	$(BIN)/python -m pytest -n 2 --dist loadscope -m "not integration"
+
+integration: .venv/installed  ## needs minutes, other virtual environments or peers; absent peers are skipped
+	$(BIN)/python -m pytest -m integration
+
+format: .venv/installed
+	$(BIN)/ruff format .
+	$(BIN)/ruff check --fix .
+
+.venv/installed: pyproject.toml constraints.txt
+	$(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
+	touch $@
+
+clean:
+	rm -rf .venv build dist *.egg-info results

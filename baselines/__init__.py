@@ -1,0 +1,1 @@
+"""Policies that weight experts: the rows of the leaderboard."""

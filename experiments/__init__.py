@@ -1,0 +1,1 @@
+"""The command line, protocols, tables and figures."""

@@ -1,0 +1,64 @@
+"""The console script ``mixo``: one subcommand per module in :mod:`experiments.commands`."""
+
+from __future__ import annotations
+
+import logging
+import sys
+from typing import Protocol
+
+
+class Command(Protocol):
+    """A frozen dataclass whose fields are the command line."""
+
+    def run(self) -> int:
+        """Do the work and return the exit code: 0 good, 1 something wrong in the data, 2 wrong usage."""
+        ...
+
+
+def commands() -> dict[str, type]:
+    """Subcommand name -> dataclass. Importing them must stay cheap: `mixo --help` is instant."""
+    from experiments.commands.benchmark import Benchmark
+    from experiments.commands.evaluate import Evaluate
+    from experiments.commands.inspect import Inspect
+    from experiments.commands.record import Record
+    from experiments.commands.simulate import Simulate
+
+    return {
+        "benchmark": Benchmark,
+        "simulate": Simulate,
+        "inspect": Inspect,
+        "record": Record,
+        "evaluate": Evaluate,
+    }
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Parse ``argv`` (default: the process arguments), run the command, return its exit code."""
+    import tyro
+
+    from mixo_env.errors import ConfigurationError, MixoError
+
+    arguments = sys.argv[1:] if argv is None else argv
+    verbose = "-v" in arguments
+    logging.basicConfig(format="%(message)s", level=logging.INFO if verbose else logging.WARNING)
+    command: Command = tyro.extras.subcommand_cli_from_dict(
+        commands(),
+        prog="mixo",
+        description=__doc__,
+        args=[argument for argument in arguments if argument != "-v"],
+    )
+    try:
+        return command.run()
+    except ConfigurationError as error:
+        print(f"mixo: {error}", file=sys.stderr)
+        return 2
+    except MixoError as error:
+        print(f"mixo: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("mixo: interrupted; finished scenes are kept and a rerun continues", file=sys.stderr)
+        return 130
+
+
+if __name__ == "__main__":
+    sys.exit(main())

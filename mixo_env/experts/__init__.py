@@ -1,0 +1,1 @@
+"""Odometry experts: one camera each, inertial, or imported from a file."""

@@ -1,0 +1,1 @@
+"""Single-camera odometry: features, matching, motion, tracking."""

@@ -1,0 +1,1 @@
+"""Trajectory scores: absolute and relative errors, alignment, lost tracks, intervals."""

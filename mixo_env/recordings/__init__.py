@@ -1,0 +1,1 @@
+"""Experts recorded once and replayed exactly."""

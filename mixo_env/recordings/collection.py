@@ -1,0 +1,127 @@
+"""Recorded scenes in memory: flat columns, one offset per scene, and selections that share them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixo_env.errors import ConfigurationError, RecordingError, unknown
+from mixo_env.recordings.schema import SPLITS, TRACKS, Manifest, SceneEntry
+
+Column = NDArray[Any]
+
+
+class Recordings:
+    """Scenes of one recording.
+
+    Attributes:
+        manifest: describes exactly the scenes held here.
+        offsets: ``(scenes + 1,)``; rows ``offsets[i]:offsets[i + 1]`` of every column belong to scene i.
+    """
+
+    def __init__(self, manifest: Manifest, columns: Mapping[str, Column]) -> None:
+        """Hold ``columns`` (all of the same length, scenes one after another in the manifest's order)."""
+        self.manifest = manifest
+        self._columns = dict(columns)
+        self.offsets = np.concatenate([[0], np.cumsum([scene.rows for scene in manifest.scenes], dtype=np.int64)])
+        for name, values in self._columns.items():
+            if len(values) != self.offsets[-1]:
+                raise RecordingError(
+                    f"column {name!r} has {len(values)} rows, but the manifest counts {self.offsets[-1]}: record anew"
+                )
+
+    def __len__(self) -> int:
+        """Number of scenes."""
+        return len(self.manifest.scenes)
+
+    def __getitem__(self, column: str) -> Column:
+        """One column over all scenes, ``(rows,)``; an unknown name raises :class:`RecordingError`."""
+        try:
+            return self._columns[column]
+        except KeyError:
+            raise RecordingError(unknown("column", column, self._columns)) from None
+
+    def __contains__(self, column: str) -> bool:
+        return column in self._columns
+
+    @property
+    def scenes(self) -> tuple[SceneEntry, ...]:
+        """The scenes held, in order."""
+        return self.manifest.scenes
+
+    @property
+    def experts(self) -> tuple[str, ...]:
+        """Every expert with columns here: cameras, then inertial, then imported."""
+        return self.manifest.cameras + self.manifest.inertial + self.manifest.imported
+
+    @property
+    def column_names(self) -> tuple[str, ...]:
+        """All columns in file order."""
+        return tuple(self._columns)
+
+    def voters(self, track: str) -> tuple[str, ...]:
+        """Experts that vote in ``track``: cameras, imported ones, then the track's inertial expert if it has one."""
+        if track not in TRACKS:
+            raise ConfigurationError(unknown("track", track, TRACKS))
+        inertial = TRACKS[track]
+        return self.manifest.cameras + self.manifest.imported + ((inertial,) if inertial else ())
+
+    def index(self, scene: str) -> int:
+        """Position of a scene by name."""
+        names = [entry.name for entry in self.scenes]
+        if scene not in names:
+            raise ConfigurationError(unknown("scene", scene, names))
+        return names.index(scene)
+
+    def rows(self, scene: str | int) -> dict[str, Column]:
+        """All columns of one scene (views)."""
+        i = self.index(scene) if isinstance(scene, str) else scene
+        return {name: values[self.offsets[i] : self.offsets[i + 1]] for name, values in self._columns.items()}
+
+    def select(
+        self,
+        *,
+        split: str | None = None,
+        folds: Sequence[int] | None = None,
+        conditions: Iterable[str] | None = None,
+        scenes: Sequence[str] | None = None,
+    ) -> Recordings:
+        """The scenes that meet every given criterion, in order.
+
+        Args:
+            split: a name in ``SPLITS``.
+            folds: folds to keep (-1: the out-of-distribution scenes).
+            conditions: keep scenes that show *all* of these, e.g. ``["rain"]``.
+            scenes: names to keep; an unknown one is an error.
+
+        Raises:
+            ConfigurationError: for unknown names, or when nothing is left.
+        """
+        if split is not None and split not in SPLITS:
+            raise ConfigurationError(unknown("split", split, SPLITS))
+        if scenes is not None:
+            for name in scenes:
+                self.index(name)
+        wanted = set(conditions or ())
+        keep = [
+            i
+            for i, entry in enumerate(self.scenes)
+            if (split is None or entry.fold in SPLITS[split])
+            and (folds is None or entry.fold in folds)
+            and (scenes is None or entry.name in scenes)
+            and wanted <= set(entry.conditions)
+        ]
+        if not keep:
+            raise ConfigurationError(
+                f"no scene left: expected at least one with split={split!r}, folds={folds!r}, "
+                f"conditions={sorted(wanted)!r} among {len(self)} scenes; widen the choice"
+            )
+        if len(keep) == len(self):
+            return self
+        rows = np.concatenate([np.arange(self.offsets[i], self.offsets[i + 1]) for i in keep])
+        manifest = replace(self.manifest, scenes=tuple(self.scenes[i] for i in keep))
+        return Recordings(manifest, {name: values[rows] for name, values in self._columns.items()})

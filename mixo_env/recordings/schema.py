@@ -1,0 +1,125 @@
+"""The recording: one row per step and scene, and the manifest beside it.
+
+Row 0 of a scene is its start (no increment, ``dt_s`` 0); rows 1..T are steps. Step k closes at t_k, the time of the
+last image of firing round k among the recorded cameras; an increment in row k covers (t_{k-1}, t_k]. Ground truth and
+times are float64, everything else is float32, and a value that does not exist is NaN.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+SCHEMA_VERSION = 1
+
+INERTIAL_EXPERTS = ("INERTIAL", "INERTIAL_POSE", "INERTIAL_CONSUMER")
+"""wheels + ms_imu; the paper's CAN ``pose``; wheels + vehicle_monitor or production-grade gyro."""
+
+TRACKS: dict[str, str | None] = {"PAPER": "INERTIAL_POSE", "VISION": None, "CONSUMER": "INERTIAL_CONSUMER"}
+"""Track -> the inertial expert that votes beside the cameras (``None``: none does). Never mixed in one table."""
+
+SPLITS: dict[str, tuple[int, ...]] = {"train": (0, 1, 2), "test": (3,), "all": (0, 1, 2, 3), "ood": (-1,)}
+"""Named splits -> folds; fold -1 holds the night scenes, which are in no fold of the cross-validation."""
+
+
+STEP_COLUMNS: dict[str, str] = {
+    "step": "int32",
+    "timestamp_us": "int64",  # t_k, Unix microseconds
+    "time_s": "float64",  # t_k - t_0
+    "dt_s": "float64",  # t_k - t_{k-1}; 0 in row 0
+    "is_keyframe": "bool",  # the image that closes the step is a key frame
+    "truth.x_m": "float64",  # ego pose of the image that closes the step, map frame
+    "truth.y_m": "float64",
+    "truth.yaw_rad": "float64",  # unwrapped
+    "truth.yaw_increment_rad": "float64",  # NaN in row 0
+    "truth.distance_m": "float64",  # chord between consecutive poses, signed by the heading; NaN in row 0
+    "exact.x_m": "float64",  # noise-free truth of a simulator; NaN on real data
+    "exact.y_m": "float64",
+    "exact.yaw_rad": "float64",
+    "distance_m": "float32",  # s_k of INERTIAL over the step; NaN in row 0
+    "speed_mps": "float32",  # v_k of INERTIAL at t_k
+}
+
+INERTIAL_COLUMNS: dict[str, str] = {
+    "yaw_increment_rad": "float32",  # over (t_{k-1}, t_k]; NaN when the grade's messages are missing
+    "yaw_std_rad": "float32",  # standard deviation of that increment
+}
+
+CAMERA_COLUMNS: dict[str, str] = {
+    "state": "int8",
+    "image_time_offset_s": "float32",  # own image time - t_k (<= 0); NaN without an image
+    "own_window_s": "float32",  # length of the camera's own image window; NaN without an image
+    "own_window_yaw_increment_rad": "float32",  # raw, over the own window; NaN unless TRACKING
+    "yaw_increment_rad": "float32",  # carried to (t_{k-1}, t_k] by inertial yaw; NaN unless TRACKING in both rounds
+    "two_frame_yaw_increment_rad": "float32",  # stateless, from the last two images alone; NaN when it fails
+    "own_window_truth_yaw_increment_rad": "float64",  # from the poses at the camera's own times
+    "yaw_std_rad": "float32",
+    "matches": "float32",  # matched features
+    "inliers": "float32",
+    "residual_px": "float32",  # median reprojection residual of the inliers
+    "flow_px": "float32",  # median optical flow of the matches
+}
+
+IMPORTED_COLUMNS: dict[str, str] = {"yaw_increment_rad": "float32"}
+"""A trajectory from a file: it has increments only; counts and states are absent and masked, never invented."""
+
+
+def columns(cameras: tuple[str, ...], inertial: tuple[str, ...], imported: tuple[str, ...] = ()) -> dict[str, str]:
+    """All columns of a recording with these experts, in file order: name -> NumPy dtype."""
+    table = dict(STEP_COLUMNS)
+    for experts, layout in ((cameras, CAMERA_COLUMNS), (inertial, INERTIAL_COLUMNS), (imported, IMPORTED_COLUMNS)):
+        table |= {f"{expert}.{name}": dtype for expert in experts for name, dtype in layout.items()}
+    return table
+
+
+@dataclass(frozen=True)
+class SceneEntry:
+    """One scene of a recording, as the manifest lists it; ``values_hash`` covers its column values."""
+
+    name: str
+    log: str
+    vehicle: str
+    location: str
+    conditions: tuple[str, ...]
+    fold: int
+    rows: int
+    values_hash: str = ""
+
+
+@dataclass(frozen=True)
+class VehicleConstants:
+    """Constants of one vehicle, fitted on training folds or fixed: never corrected from a test scene's poses."""
+
+    wheel_scale: float = 1.0  # true distance / distance from the nominal wheel radius
+    course_offset_rad: float = 0.0  # direction of travel minus ego heading
+    can_latency_s: float = 0.0  # arrival stamp minus measurement time of the wheel messages
+
+
+@dataclass(frozen=True)
+class Manifest:
+    """Everything about a recording but its rows.
+
+    Attributes:
+        data_version: e.g. ``"mixocity-0.1"``; part of every printed result.
+        cameras, inertial, imported: experts by kind, in column order.
+        parameters: resolved configuration of every expert, as plain JSON values.
+        software: package -> version used when recording.
+        scenes: in file order.
+        vehicles: constants by vehicle.
+        reward_scale_rad: sigma_0 by track: 1.4826 x median absolute deviation of LINEAR's yaw error.
+        linear_weights: track -> fold held out (as text; ``"none"``: fitted on all folds) -> expert -> weight.
+        camera_cost_ms: fixed processing cost per image and camera for budget environments.
+    """
+
+    data_version: str
+    cameras: tuple[str, ...]
+    inertial: tuple[str, ...]
+    imported: tuple[str, ...]
+    scenes: tuple[SceneEntry, ...]
+    parameters: dict[str, Any] = field(default_factory=dict)
+    software: dict[str, str] = field(default_factory=dict)
+    vehicles: dict[str, VehicleConstants] = field(default_factory=dict)
+    reward_scale_rad: dict[str, float] = field(default_factory=dict)
+    linear_weights: dict[str, dict[str, dict[str, float]]] = field(default_factory=dict)
+    camera_cost_ms: dict[str, float] = field(default_factory=dict)
+    schema_version: int = SCHEMA_VERSION

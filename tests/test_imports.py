@@ -1,0 +1,74 @@
+"""The house's import rule: each floor imports only from the floors below it, and heavy packages only where used."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parent.parent
+
+FLOORS = (
+    "experiments",
+    "baselines",
+    "mixo_env.envs",
+    "mixo_env.recordings",
+    "mixo_env.experts",
+    "mixo_env.simulator",
+    "mixo_env.metrics",
+    "mixo_env.nuscenes",
+    "mixo_env.trajectory",
+    "mixo_env.fusion",
+    "mixo_env.geometry",
+    "mixo_env.errors",
+)
+
+MODULES = sorted(
+    path.relative_to(ROOT)
+    for package in ("mixo_env", "baselines", "experiments")
+    for path in (ROOT / package).rglob("*.py")
+)
+
+
+def floor_of(module: str) -> int | None:
+    """Index in FLOORS (0 = top), or None for modules outside the house."""
+    for i, floor in enumerate(FLOORS):
+        if module == floor or module.startswith(floor + "."):
+            return i
+    return None
+
+
+def module_name(path: Path) -> str:
+    parts = path.with_suffix("").parts
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def imported_modules(path: Path) -> set[str]:
+    found: set[str] = set()
+    for node in ast.walk(ast.parse((ROOT / path).read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            found.add(node.module)
+            found |= {f"{node.module}.{alias.name}" for alias in node.names}
+    return found
+
+
+@pytest.mark.parametrize("path", MODULES, ids=str)
+def test_imports_go_down_only(path: Path) -> None:
+    own = floor_of(module_name(path))
+    if own is None:
+        assert module_name(path) == "mixo_env", "a module outside the floors: add its floor to FLOORS"
+        return
+    upward = {name for name in imported_modules(path) if (floor := floor_of(name)) is not None and floor < own}
+    assert not upward, f"{path} imports from floors above its own: {sorted(upward)}"
+
+
+def test_importing_the_package_is_light() -> None:
+    heavy = ("torch", "stable_baselines3", "matplotlib", "filterpy", "scipy", "pandas")
+    code = f"import sys, mixo_env; print([name for name in {heavy!r} if name in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
