@@ -1,0 +1,54 @@
+"""`mixo simulate`: a data set in nuScenes format, without nuScenes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated
+
+import tyro
+
+from mixo_env.simulator.config import SimulationConfig
+
+
+@dataclass(frozen=True)
+class Simulate:
+    """Simulate drives through a procedural city and write them as a nuScenes folder.
+
+    The official nuscenes-devkit and `mixo record` open the result. An interrupted run continues when the same command
+    is given again. One image of 800x450 takes about 0.06 s: 12 scenes with four cameras some 12 minutes on one core.
+
+    Worked examples:
+      mixo simulate city                                      12 scenes from 4 drives, seed 0
+      mixo simulate city --scenes 104 --workers 8             a large one
+      mixo simulate can --scenes 100 --no-images              CAN bus, poses and tables only, in seconds
+      mixo simulate rain --rain 1 --night 0 --seed 7          rain all day
+      mixo simulate calm --situations.lead-truck 0            never behind a truck on purpose
+    """
+
+    out: Annotated[Path, tyro.conf.Positional]
+    """Folder to write; new, or of an interrupted run."""
+    config: Annotated[SimulationConfig, tyro.conf.arg(name="")] = field(default_factory=SimulationConfig)
+    """What to simulate."""
+    workers: int = 1
+    """Processes; the files do not depend on it."""
+
+    def run(self) -> int:
+        """Simulate and show progress."""
+        from rich.console import Console
+        from rich.progress import Progress
+
+        from mixo_env.simulator.dataset import VERSION, simulate
+
+        console = Console()
+        with Progress(console=console, transient=True) as bar:
+            task = bar.add_task("simulating scenes", total=self.config.scenes)
+            simulate(
+                self.config,
+                self.out,
+                workers=self.workers,
+                progress=lambda done, total: bar.update(task, completed=done, total=total),
+            )
+        console.print(f"{self.config.scenes} scenes ({VERSION}) in {self.out}", highlight=False)
+        console.print(f"next: mixo record {self.out}", highlight=False)
+        return 0

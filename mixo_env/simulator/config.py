@@ -1,0 +1,117 @@
+"""What a simulated data set is made of: one frozen dataclass, which is also the command line of ``mixo simulate``."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields
+
+from mixo_env.errors import ConfigurationError, unknown
+from mixo_env.nuscenes.selections import ALL_CAMERAS, CAMERAS
+
+
+def _check_shares(kind: str, shares: dict[str, float]) -> None:
+    for name, share in shares.items():
+        if not 0.0 <= share <= 1.0:
+            raise ConfigurationError(f"{kind} {name} must lie between 0 and 1, got {share:g}: change it")
+    total = sum(shares.values())
+    if total > 1.0 + 1e-9:
+        raise ConfigurationError(f"the shares of {kind} add up to {total:.3g}, at most 1 is possible: lower some")
+
+
+@dataclass(frozen=True)
+class SituationShares:
+    """Share of scenes in which a named situation is staged; the remaining scenes are ordinary drives.
+
+    ``standing`` is part of realistic motion (about 10 % of the real scenes hardly move, together with
+    ``standing_cross_traffic``); all others put a difficulty of the paper on the stage on purpose.
+    """
+
+    standing: float = 0.06
+    """The car hardly moves."""
+    standing_cross_traffic: float = 0.04
+    """The car waits at a crossing while vehicles pass in front of it."""
+    lead_truck: float = 0.06
+    """A truck ahead fills the front view, also through a turn."""
+    following_van: float = 0.06
+    """A van behind fills the rear view."""
+    side_queue: float = 0.05
+    """A creeping queue fills the oncoming lane on the left."""
+    oncoming_platoon: float = 0.05
+    """A dense platoon comes the other way."""
+    blank_wall: float = 0.05
+    """One windowless wall along a whole side of the way, swept by the front view in a turn."""
+    fast_straight: float = 0.05
+    """Straight on at 11 to 14 m/s."""
+    tight_turn: float = 0.05
+    """A turn at the smallest radius the streets allow."""
+
+    def __post_init__(self) -> None:
+        _check_shares("situation", self.by_name())
+
+    def by_name(self) -> dict[str, float]:
+        """Situation -> share, in the order of the fields."""
+        return {entry.name: getattr(self, entry.name) for entry in fields(self)}
+
+
+@dataclass(frozen=True)
+class SimulationConfig:
+    """A simulated data set. Equal configurations give equal files, whatever the number of workers."""
+
+    scenes: int = 12
+    """Number of scenes; they are named scene-2001 upwards."""
+    scenes_per_log: int = 3
+    """Scenes of one drive: they share city, weather, rig, wheels and sensor biases (folds never split a log)."""
+    seed: int = 0
+    """Any other number gives another data set."""
+    seconds: int = 20
+    """Length of a scene [s]."""
+    width: int = 800
+    """Image width [px]; the height must be 9/16 of it, as in nuScenes."""
+    height: int = 450
+    """Image height [px]."""
+    cameras: tuple[str, ...] = CAMERAS
+    """Channels to write: the paper's four by default."""
+    all_cameras: bool = False
+    """Write all six cameras of the car."""
+    images: bool = True
+    """Without images everything but the pixels is written: CAN bus, poses and tables, in seconds."""
+    rain: float = 0.2
+    """Share of logs driven in rain (by day)."""
+    night: float = 0.08
+    """Share of logs driven at night."""
+    low_texture: float = 0.1
+    """Share of logs in a city with many blank walls and little fine texture."""
+    situations: SituationShares = field(default_factory=SituationShares)
+    """Shares of staged situations."""
+
+    def __post_init__(self) -> None:
+        for name, low, high in (
+            ("scenes", 1, 7999),  # scene-2001 to scene-9999: four digits, as the official CAN bus reader expects
+            ("scenes_per_log", 1, 7999),
+            ("seconds", 2, 30),
+            ("width", 32, 1600),
+            ("seed", 0, 2**32 - 1),
+        ):
+            value = getattr(self, name)
+            if not low <= value <= high:
+                raise ConfigurationError(f"{name} must lie between {low} and {high}, got {value}: change it")
+        if self.width * 9 != self.height * 16:
+            raise ConfigurationError(
+                f"images must be 16:9 like nuScenes, got {self.width}x{self.height}: use for example 800x450"
+            )
+        for channel in self.cameras:
+            if channel not in ALL_CAMERAS:
+                raise ConfigurationError(unknown("camera", channel, ALL_CAMERAS))
+        if not self.cameras or len(set(self.cameras)) != len(self.cameras):
+            raise ConfigurationError(f"cameras must be given once each, got {', '.join(self.cameras) or 'none'}")
+        _check_shares("weather", {"rain": self.rain, "night": self.night})
+        _check_shares("log", {"low_texture": self.low_texture})
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Cameras that are written, in nuScenes order if all six."""
+        return ALL_CAMERAS if self.all_cameras else self.cameras
+
+    @property
+    def logs(self) -> int:
+        """Number of logs."""
+        return -(-self.scenes // self.scenes_per_log)

@@ -1,0 +1,179 @@
+"""Simulate a whole data set into a folder in nuScenes format, on several processes, continuing where it stopped.
+
+A scene is finished when its rows lie in ``parts/``; the tables are written when all scenes are finished. So neither a
+half-written scene nor a half-finished data set can be taken for a whole one.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import io
+import json
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mixo_env.errors import ConfigurationError, DatasetError
+from mixo_env.nuscenes.scene import ExactPoses
+from mixo_env.nuscenes.writer import scene_tables, write_bytes, write_can_bus, write_json, write_tables
+from mixo_env.simulator.config import SimulationConfig
+from mixo_env.simulator.scenario import LogPlan, ScenePlan, plan_logs
+from mixo_env.simulator.scenes import blank_sides, pictures, simulate_scene
+
+if TYPE_CHECKING:
+    from mixo_env.simulator.render import Renderer
+
+VERSION = "v1.0-mixo"
+"""Name of the table folder."""
+
+FORMAT = 1
+"""Raised whenever equal configurations no longer give equal files."""
+
+JPEG_QUALITY = 90
+
+Progress = Callable[[int, int], None]
+
+
+def simulate(config: SimulationConfig, out: Path, workers: int = 1, progress: Progress | None = None) -> None:
+    """Simulate a data set, or what is still missing of it.
+
+    Args:
+        config: what to simulate.
+        out: folder to write; it is new, empty, or holds an interrupted run of the same configuration.
+        workers: number of processes; the files do not depend on it. Each log is simulated by one of them.
+        progress: called with the number of finished scenes and of all scenes whenever that changes.
+
+    Raises:
+        ConfigurationError: the folder holds something else, or ``workers`` is not positive.
+        DatasetError: a file cannot be written (disk full, no permission); a rerun continues.
+    """
+    if workers < 1:
+        raise ConfigurationError(f"workers must be at least 1, got {workers}")
+    out = out.resolve()
+    _claim(config, out)
+    logs = plan_logs(config)
+    scenes = [scene for log in logs for scene in log.scenes]
+    unfinished = [log for log in logs if any(not _part(out, scene).exists() for scene in log.scenes)]
+    with _reported(out, scenes, progress):
+        if workers == 1 or len(unfinished) <= 1:
+            for log in unfinished:
+                _simulate_log(config, log, out)
+        else:
+            from joblib import Parallel, delayed
+
+            Parallel(n_jobs=min(workers, len(unfinished)))(
+                delayed(_simulate_log)(config, log, out) for log in unfinished
+            )
+    write_tables(out, VERSION, (_read(_part(out, scene)) for scene in scenes))
+
+
+def _claim(config: SimulationConfig, out: Path) -> None:
+    """Make the folder ours, or make sure that it is."""
+    note = out / "simulation.json"
+    mine = {"format": FORMAT, **json.loads(json.dumps(dataclasses.asdict(config)))}
+    if not note.exists():
+        if out.exists() and (not out.is_dir() or any(out.iterdir())):
+            raise ConfigurationError(f"{out} is not an empty folder: choose a new one")
+        write_json(note, mine)
+        return
+    found = _read(note)
+    if found != mine:
+        names = ", ".join(name for name in {**found, **mine} if found.get(name) != mine.get(name))
+        raise ConfigurationError(
+            f"{out} holds a simulation with another configuration (different: {names}): choose another folder"
+        )
+
+
+def _read(path: Path) -> dict[str, Any]:
+    """A file that an earlier run has written."""
+    try:
+        return json.loads(path.read_text())
+    except (OSError, ValueError) as error:
+        raise DatasetError(f"cannot read {path}: {error}; delete it and run again") from error
+
+
+def _part(out: Path, scene: ScenePlan) -> Path:
+    return out / "parts" / f"{scene.name}.json"
+
+
+def _simulate_log(config: SimulationConfig, log: LogPlan, out: Path) -> None:
+    """All unfinished scenes of one log; the city is built once."""
+    import cv2
+
+    cv2.setNumThreads(1)
+    renderer: Renderer | None = None
+    for plan in log.scenes:
+        if _part(out, plan).exists():
+            continue
+        if config.images and renderer is None:
+            renderer = _renderer(config, log)
+        _simulate_scene(config, log, plan, out, renderer)
+
+
+def _renderer(config: SimulationConfig, log: LogPlan) -> Renderer:
+    """The log's city in its weather."""
+    from mixo_env.simulator.render import Renderer
+    from mixo_env.simulator.world import build_world
+
+    walls: dict[str, Any] = {"grain": 0.4, "blank_walls": 0.5} if log.low_texture else {}
+    world = build_world(log.world_seed, blank_sides=blank_sides(config, log), **walls)
+    return Renderer(world, log.weather)
+
+
+def _simulate_scene(
+    config: SimulationConfig, log: LogPlan, plan: ScenePlan, out: Path, renderer: Renderer | None
+) -> None:
+    """Write one scene; its part comes last."""
+    simulated = simulate_scene(config, log, plan, out)
+    scene = simulated.scene
+    if renderer is not None:
+        import simplejpeg
+
+        for path, image in pictures(config, log, plan, simulated, renderer):
+            write_bytes(path, simplejpeg.encode_jpeg(image, quality=JPEG_QUALITY, colorspace="RGB"))
+    write_can_bus(out, scene.name, simulated.messages)
+    if scene.exact is not None:
+        write_bytes(out / "exact" / f"{scene.name}.npz", _packed(scene.exact))
+    write_json(_part(out, plan), scene_tables(out, scene, simulated.times.sample_us))
+
+
+def _packed(exact: ExactPoses) -> bytes:
+    """The exact poses as a NumPy archive."""
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, timestamp_us=exact.timestamp_us, x_m=exact.x_m, y_m=exact.y_m, yaw_rad=exact.yaw_rad)
+    return buffer.getvalue()
+
+
+@contextmanager
+def _reported(out: Path, scenes: list[ScenePlan], progress: Progress | None) -> Iterator[None]:
+    """Call ``progress`` while other processes finish scenes: their parts are the only thing all of them share."""
+    if progress is None:
+        yield
+        return
+    stop = threading.Event()
+
+    def finished() -> int:
+        return sum(_part(out, scene).exists() for scene in scenes)
+
+    def watch() -> None:
+        last = -1
+        while True:
+            done = stop.wait(0.5)
+            count = finished()
+            if count != last:
+                progress(count, len(scenes))
+                last = count
+            if done:
+                return
+
+    thread = threading.Thread(target=watch, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        stop.set()
+        thread.join()

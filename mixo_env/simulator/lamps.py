@@ -1,0 +1,95 @@
+"""Lights of the night: beams of head lights on the road and the glare around whatever is bright."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import cv2
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from mixo_env.simulator.vehicles import VEHICLE_KINDS, VehicleState
+
+WINDOW = 512
+"""Side of the window of lamp light around the camera, one value a metre."""
+
+_CELL = 8
+_FIELD = (1 << 21) - 1
+_TOP = (1 << 18) - 1
+
+
+@njit(cache=True, error_model="numpy")
+def _add_beams(window, origin, beams):
+    """Add head light beams (x, y of the lamps, cos and sin of the heading) to the light on the ground."""
+    side = window.shape[0]
+    for n in range(beams.shape[0]):
+        x, y, c, s = beams[n, 0] - origin[0], beams[n, 1] - origin[1], beams[n, 2], beams[n, 3]
+        for row in range(max(0, int(y) - 28), min(side, int(y) + 29)):
+            for column in range(max(0, int(x) - 28), min(side, int(x) + 29)):
+                dx, dy = column + 0.5 - x, row + 0.5 - y
+                ahead, aside = c * dx + s * dy, c * dy - s * dx
+                if ahead > 0.5:
+                    angle = aside / ahead
+                    fade = max(1.0 - ahead / 28.0, 0.0)
+                    window[row, column] += 30.0 / (ahead * ahead + 25.0) * np.exp(-6.0 * angle * angle) * fade
+
+
+def light_window(
+    lamp_light: NDArray[np.float32], extent_m: float, position_m: NDArray[np.float64], vehicles: Sequence[VehicleState]
+) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
+    """Lamp light around the camera with the beams of the vehicles: ``(WINDOW, WINDOW)`` and the map position of its corner."""
+    corner = np.floor(position_m[:2]).astype(int) - WINDOW // 2
+    window = np.zeros((WINDOW, WINDOW), np.float32)
+    from_map = corner + int(0.5 * extent_m)
+    low, high = np.clip(from_map, 0, len(lamp_light)), np.clip(from_map + WINDOW, 0, len(lamp_light))
+    to = low - from_map
+    part = lamp_light[low[1] : high[1], low[0] : high[0]]
+    window[to[1] : to[1] + part.shape[0], to[0] : to[0] + part.shape[1]] = part
+    beams = []
+    for v in vehicles:
+        c, s, nose = np.cos(v.yaw_rad), np.sin(v.yaw_rad), 0.5 * VEHICLE_KINDS[v.kind].length_m
+        beams.append((v.x_m + c * nose, v.y_m + s * nose, c, s))
+    _add_beams(window, corner.astype(np.float64), np.array(beams).reshape(-1, 4))
+    return window, corner.astype(np.float64)
+
+
+@njit(cache=True, error_model="numpy")
+def _bright(radiance, threshold, cells):
+    for y in range(cells.shape[0] * _CELL):
+        for x in range(cells.shape[1] * _CELL):
+            word = radiance[y, x]
+            for c in range(3):
+                excess = (word >> 21 * c & _FIELD) - threshold
+                if excess > 0:
+                    cells[y // _CELL, x // _CELL, c] += excess
+
+
+@njit(cache=True, error_model="numpy")
+def _add(radiance, cells):
+    height, width = radiance.shape
+    rows, columns, _ = cells.shape
+    for y in range(height):
+        v = min(max((y + 0.5) / _CELL - 0.5, 0.0), rows - 1.001)
+        b = v - int(v)
+        for x in range(width):
+            u = min(max((x + 0.5) / _CELL - 0.5, 0.0), columns - 1.001)
+            a = u - int(u)
+            word = radiance[y, x]
+            total = 0
+            for c in range(3):
+                upper = cells[int(v), int(u), c] * (1.0 - a) + cells[int(v), int(u) + 1, c] * a
+                lower = cells[int(v) + 1, int(u), c] * (1.0 - a) + cells[int(v) + 1, int(u) + 1, c] * a
+                value = (word >> 21 * c & _FIELD) + int(upper * (1.0 - b) + lower * b)
+                total |= min(value, _TOP) << 21 * c
+            radiance[y, x] = total
+
+
+def add_glare(radiance: NDArray[np.int64], threshold: float, share: float) -> None:
+    """Scatter ``share`` of the light above ``threshold`` (integer radiance) over the neighbourhood, in place."""
+    height, width = radiance.shape
+    cells = np.zeros((height // _CELL, width // _CELL, 3), np.float32)
+    _bright(radiance, int(threshold), cells)
+    cells *= share / _CELL**2
+    halo = 0.6 * cv2.GaussianBlur(cells, (0, 0), 1.2) + 0.4 * cv2.GaussianBlur(cells, (0, 0), 5.0)
+    _add(radiance, halo)

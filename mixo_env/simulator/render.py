@@ -1,0 +1,266 @@
+"""Pictures of the city: ``Renderer(world, weather).render(...)`` is what the rest of the simulator calls."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from mixo_env.nuscenes.scene import CameraCalibration
+from mixo_env.simulator.fleet import Fleet, body_motion
+from mixo_env.simulator.lamps import add_glare, light_window
+from mixo_env.simulator.mesh import PatchSet
+from mixo_env.simulator.rain import add_spray, mirror_road, spray_puffs
+from mixo_env.simulator.rasterizer import DepthBuffers, draw_groups, visible_groups
+from mixo_env.simulator.sensor import NOISE_SIDE, expose
+from mixo_env.simulator.shading import shade
+from mixo_env.simulator.shadows import EXTENT_M
+from mixo_env.simulator.vehicles import VehicleState
+from mixo_env.simulator.weather import Weather, weather_named
+from mixo_env.simulator.world import World
+
+FAR_M = 240.0
+"""Everything farther away is haze."""
+
+EXPOSURE_LAG = 0.25
+"""Share of the way to the wanted exposure that the control goes from one image to the next."""
+
+RADIANCE_UNIT = 32768.0
+"""Integer radiance of a white surface in full daylight; the largest is eight times that."""
+
+GLARE = 0.12
+"""Share of the light above white that lens and air scatter at night."""
+
+_WIDEST_PX = 1600
+
+
+@dataclass(frozen=True)
+class CameraPose:
+    """Where a camera is at one instant.
+
+    Attributes:
+        rotation_map_from_camera: ``(3, 3)``; camera axes x right, y down, z forward.
+        position_m: ``(3,)`` camera centre in the map frame.
+    """
+
+    rotation_map_from_camera: NDArray[np.float64]
+    position_m: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class RenderedImage:
+    """One picture.
+
+    Attributes:
+        image: ``(height, width, 3)`` uint8, red first.
+        gain: exposure to pass to the next image of the same camera.
+    """
+
+    image: NDArray[np.uint8]
+    gain: float
+
+
+def _middle(start: CameraPose, end: CameraPose) -> CameraPose:
+    turn = start.rotation_map_from_camera.T @ end.rotation_map_from_camera
+    half = cv2.Rodrigues(0.5 * cv2.Rodrigues(turn)[0])[0]
+    return CameraPose(start.rotation_map_from_camera @ half, 0.5 * (start.position_m + end.position_m))
+
+
+def _mean_radiance(radiance: NDArray[np.int64]) -> float:
+    """Mean over a sparse grid of the lower two thirds of the picture: the sky may turn white, as in a car's camera."""
+    some = radiance[len(radiance) // 3 :: 8, ::8]
+    return float(((some & 0x1FFFFF) + ((some >> 21) & 0x1FFFFF) + (some >> 42)).mean()) / (3.0 * RADIANCE_UNIT)
+
+
+class Renderer:
+    """Renders one world in one weather; holds the working memory, so one per process and used for many images.
+
+    Args:
+        world: the city.
+        weather: its name, ``"day"``, ``"rain"`` or ``"night"``, or settings of your own.
+
+    Attributes:
+        weather: the settings; ``weather.shutter_s`` is the exposure time.
+    """
+
+    def __init__(self, world: World, weather: str | Weather = "day") -> None:
+        self.world = world
+        self.weather = weather_named(weather) if isinstance(weather, str) else weather
+        self._buffers: dict[tuple[int, int], DepthBuffers] = {}
+        self._pixels: dict[tuple[int, int], tuple[NDArray[np.int64], NDArray[np.float32], NDArray[np.float32]]] = {}
+        columns = 3 * _WIDEST_PX + NOISE_SIDE
+        self._noise = np.random.default_rng(20).standard_normal((NOISE_SIDE, columns), np.float32)
+        self._fleet = Fleet(world, shadows=self.weather.sun > 0.0)
+        self._no_lamps = np.zeros((1, 1), np.float32), np.zeros(2)
+        w, unit = self.weather, RADIANCE_UNIT
+        self._light = np.array(
+            [
+                unit * w.ambient,
+                unit * w.sun,
+                w.haze_per_m,
+                *(unit * np.array((*w.haze, *w.zenith))),
+                w.clouds,
+                unit * w.lamps,
+                w.wetness,
+                *w.colour,
+            ]
+        )
+        self._air = sum(int(unit * part) << 21 * place for place, part in enumerate(w.haze))
+
+    def render(
+        self,
+        calibration: CameraCalibration,
+        start: CameraPose,
+        end: CameraPose,
+        vehicles: Sequence[VehicleState] = (),
+        *,
+        gain: float | None = None,
+        noise_seed: int = 0,
+    ) -> RenderedImage:
+        """One picture.
+
+        Args:
+            calibration: intrinsics and image size; the mounting only aims the head lights.
+            start, end: of the camera when the shutter opens and closes, ``weather.shutter_s`` apart.
+            vehicles: at the middle of the exposure, the instant that the picture shows.
+            gain: from the previous picture of this camera, ``None`` for the first (exposed for itself).
+            noise_seed: seed of the sensor noise; different for every picture.
+        """
+        world, height, width = self.world, calibration.height, calibration.width
+        k = calibration.intrinsic
+        lens = np.array([k[0, 0], k[1, 1], k[0, 2], k[1, 2]])
+        pose = _middle(start, end)
+        rotation = np.ascontiguousarray(pose.rotation_map_from_camera.T)
+        position = np.ascontiguousarray(pose.position_m, np.float64)
+
+        near = [v for v in vehicles if np.hypot(v.x_m - position[0], v.y_m - position[1]) < FAR_M]
+        buffers = self._draw(self._fleet.placed(near), rotation, position, lens, height, width)
+        radiance, flow, vignette = self._images(height, width)
+        lamps, lamp_origin = self._no_lamps
+        if self.weather.lamps > 0.0:
+            lamps, lamp_origin = light_window(world.lamp_light, EXTENT_M, position, near)
+        to_ego = np.column_stack([calibration.rotation_ego_from_camera, calibration.translation_m])
+        shade(
+            buffers.owner,
+            buffers.plane,
+            buffers.style,
+            buffers.mark,
+            rotation,
+            position,
+            lens,
+            FAR_M,
+            self._light,
+            world.texels,
+            world.table,
+            world.detail,
+            world.detail_start,
+            world.sky,
+            world.sunlight,
+            world.shadow_height,
+            lamps,
+            lamp_origin,
+            to_ego[:2].ravel(),
+            self._motion(pose, end, near),
+            world.ground_texels_per_m,
+            radiance,
+            flow,
+        )
+        if self.weather.wetness > 0.0:
+            air = self._air
+            mirror_road(
+                radiance,
+                buffers.owner,
+                buffers.depth,
+                buffers.mark,
+                rotation,
+                position,
+                lens,
+                world.sky,
+                air,
+                self.weather.wetness,
+            )
+            puffs = spray_puffs(near, rotation, position, self.weather.wetness)
+            add_spray(radiance, buffers.depth, puffs, lens, world.sky, air)
+        wanted = min(self.weather.exposure_target / max(_mean_radiance(radiance), 1e-6), self.weather.largest_gain)
+        used = wanted if gain is None else gain
+        if self.weather.lamps >= 0.5:
+            add_glare(radiance, RADIANCE_UNIT / used, GLARE)
+        image = np.empty((height, width, 3), np.uint8)
+        offset = np.random.default_rng(noise_seed).integers(0, NOISE_SIDE, (height, 2))
+        shot, read = self.weather.shot_noise, self.weather.read_noise
+        expose(radiance, flow, vignette, self._noise, offset, used / RADIANCE_UNIT, shot, read, image)
+        return RenderedImage(image, used + EXPOSURE_LAG * (wanted - used))
+
+    def _images(self, height: int, width: int) -> tuple[NDArray[np.int64], NDArray[np.float32], NDArray[np.float32]]:
+        if (height, width) not in self._pixels:
+            y, x = np.mgrid[0:height, 0:width]
+            squared = ((x - 0.5 * width) ** 2 + (y - 0.5 * height) ** 2) / (0.5 * width) ** 2
+            vignette = ((1.0 + 0.22 * squared) ** -2).astype(np.float32)
+            self._pixels[height, width] = (
+                np.empty((height, width), np.int64),
+                np.empty((height, width, 2), np.float32),
+                vignette,
+            )
+        return self._pixels[height, width]
+
+    def _draw(
+        self,
+        moving: PatchSet,
+        rotation: NDArray[np.float64],
+        position: NDArray[np.float64],
+        lens: NDArray[np.float64],
+        height: int,
+        width: int,
+    ) -> DepthBuffers:
+        world = self.world
+        most = 0
+        orders = []
+        for patches in (moving, world.static):
+            depth, number = np.empty(len(patches.groups)), np.empty(len(patches.groups), np.int64)
+            count = visible_groups(patches.groups, rotation, position, lens, width, height, FAR_M, depth, number)
+            order = number[:count][np.argsort(depth[:count], kind="stable")]
+            most += int((patches.group_start[order + 1] - patches.group_start[order]).sum())
+            orders.append(order)
+        buffers = self._buffers.get((height, width))
+        if buffers is None or len(buffers.plane) < most:
+            buffers = self._buffers[height, width] = DepthBuffers(height, width, 2 * most)
+        buffers.depth.fill(0.0)
+        buffers.owner.fill(-1)
+        slots = 0
+        for patches, order in zip((moving, world.static), orders, strict=True):
+            slots = draw_groups(
+                order,
+                patches.group_start,
+                patches.geometry,
+                patches.texel,
+                patches.tag,
+                patches.look,
+                rotation,
+                position,
+                lens,
+                FAR_M,
+                world.texels,
+                world.table,
+                buffers.depth,
+                buffers.owner,
+                buffers.plane,
+                buffers.style,
+                buffers.mark,
+                slots,
+            )
+        return buffers
+
+    def _motion(self, middle: CameraPose, end: CameraPose, vehicles: Sequence[VehicleState]) -> NDArray[np.float64]:
+        """``(1 + vehicles, 12)`` rigid motions of the second half of the exposure in camera coordinates."""
+        half_s = 0.5 * self.weather.shutter_s
+        to_end = end.rotation_map_from_camera.T
+        motion = np.empty((1 + len(vehicles), 12))
+        for number in range(len(motion)):
+            turn, shift = body_motion(vehicles[number - 1], half_s) if number else (np.eye(3), np.zeros(3))
+            rotation = to_end @ turn @ middle.rotation_map_from_camera
+            translation = to_end @ (turn @ middle.position_m + shift - end.position_m)
+            motion[number] = (*rotation.ravel(), *translation)
+        return motion

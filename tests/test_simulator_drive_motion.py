@@ -1,0 +1,128 @@
+"""Drives: possible for a car, consistent with themselves, and as varied as real ones."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mixo_env.simulator.config import SituationShares
+from mixo_env.simulator.drive import DRIVE_RATE_HZ, MARGIN_S, Drive, plan_drive
+from mixo_env.simulator.localisation import localise
+
+COURSE_OFFSET_RAD = np.radians(-0.5)
+SITUATIONS = ("ordinary", *SituationShares().by_name())
+
+
+def drives(situation: str, count: int, seconds: float = 20.0) -> list[Drive]:
+    rng = np.random.default_rng([ord(letter) for letter in situation])
+    return [plan_drive(rng, situation, seconds, COURSE_OFFSET_RAD) for _ in range(count)]
+
+
+def within_scene(drive: Drive, seconds: float = 20.0) -> slice:
+    first, last = np.searchsorted(drive.time_s, (0.0, seconds))
+    return slice(int(first), int(last) + 1)
+
+
+@pytest.mark.parametrize("situation", SITUATIONS)
+def test_limits_of_car_and_comfort(situation):
+    for drive in drives(situation, 3):
+        assert drive.time_s[0] == pytest.approx(-MARGIN_S)
+        assert drive.time_s[-1] == pytest.approx(20.0 + MARGIN_S)
+        assert drive.speed_mps.min() >= 0.0
+        assert drive.speed_mps.max() < 14.5
+        assert np.abs(drive.acceleration_mps2).max() < 2.5
+        assert np.abs(np.gradient(drive.acceleration_mps2, 1.0 / DRIVE_RATE_HZ)).max() < 5.0
+        assert np.abs(drive.yaw_rate_radps).max() < np.radians(45.0)
+        assert np.abs(drive.yaw_rate_radps * drive.speed_mps).max() < 3.0
+        assert np.abs(np.diff(drive.yaw_rate_radps)).max() * DRIVE_RATE_HZ < 1.5
+        assert np.abs(drive.pitch_rad).max() < np.radians(2.0)
+        assert np.abs(drive.roll_rad).max() < np.radians(2.5)
+        assert np.abs(drive.heave_m).max() < 0.08
+
+
+@pytest.mark.parametrize("situation", ["ordinary", "tight_turn", "fast_straight"])
+def test_integrating_speed_and_yaw_rate_gives_the_pose(situation):
+    """The rear axle moves along heading + course offset (+ a little slip), nowhere else."""
+    for drive in drives(situation, 3):
+        step_s = 1.0 / DRIVE_RATE_HZ
+        yaw = drive.yaw_rad[0] + np.concatenate(
+            [[0.0], np.cumsum(0.5 * (drive.yaw_rate_radps[1:] + drive.yaw_rate_radps[:-1]) * step_s)]
+        )
+        assert np.abs(yaw - drive.yaw_rad).max() < 1e-3
+        course = yaw + COURSE_OFFSET_RAD
+        velocity = drive.speed_mps * np.exp(1j * course)
+        moved = np.cumsum(0.5 * (velocity[1:] + velocity[:-1]) * step_s)
+        true = (drive.x_m + 1j * drive.y_m)[1:] - (drive.x_m[0] + 1j * drive.y_m[0])
+        distance = drive.s_m[-1] - drive.s_m[0]
+        assert np.abs(moved - true).max() < 0.01 * distance + 0.05  # slip, at most 0.4 degrees, is what remains
+        assert np.abs(np.diff(drive.s_m) / step_s - 0.5 * (drive.speed_mps[1:] + drive.speed_mps[:-1])).max() < 1e-2
+
+
+def test_a_standing_car_stands():
+    for drive in drives("standing", 3) + drives("standing_cross_traffic", 3):
+        inside = within_scene(drive)
+        assert drive.s_m[inside][-1] - drive.s_m[inside][0] < 5.0
+        still = drive.speed_mps == 0.0
+        assert still[inside].mean() > 0.3
+        at_rest = np.flatnonzero(still)[3 * DRIVE_RATE_HZ :]
+        assert np.abs(drive.yaw_rate_radps[at_rest]).max() < 1e-9
+        assert np.ptp(drive.heave_m[at_rest]) == 0.0
+
+
+def test_staged_drives_show_what_they_promise():
+    for drive in drives("fast_straight", 3):
+        inside = within_scene(drive)
+        assert drive.speed_mps[inside].mean() > 9.5
+        assert np.ptp(drive.yaw_rad[inside]) < np.radians(15.0)
+    for situation in ("tight_turn", "lead_truck"):
+        for drive in drives(situation, 3):
+            assert np.ptp(drive.yaw_rad[within_scene(drive)]) > np.radians(75.0)
+    for situation in ("ordinary", "tight_turn"):
+        for drive in drives(situation, 3, seconds=4.0):  # short scenes are possible, too
+            inside = within_scene(drive, 4.0)
+            assert drive.s_m[inside][-1] - drive.s_m[inside][0] >= 1.0
+
+
+def test_same_seed_same_drive():
+    one, two = (plan_drive(np.random.default_rng(3), "ordinary", 10, 0.0) for _ in range(2))
+    assert np.array_equal(one.x_m, two.x_m)
+    assert np.array_equal(one.roll_rad, two.roll_rad)
+
+
+def test_quantiles_of_real_driving():
+    """Targets: quantiles of 135 real scenes; tolerances are wide because 120 scenes are few."""
+    shares = SituationShares().by_name()
+    names = [name for name, share in shares.items() for _ in range(round(120 * share))]
+    names += ["ordinary"] * (120 - len(names))
+    rng = np.random.default_rng(11)
+    speed, turned, path = [], [], []
+    for name in names:
+        drive = plan_drive(rng, name, 20.0, COURSE_OFFSET_RAD)
+        time_s = np.arange(0.0, 19.5, 1.0 / 12.0)
+        s, yaw = drive.at("s_m", time_s), drive.at("yaw_rad", time_s)
+        speed.append(s[12:] - s[:-12])
+        turned.append(np.degrees(np.abs(yaw[12:] - yaw[:-12])))
+        path.append(s[-1] - s[0])
+    speed_mps, turned_deg, path_m = np.concatenate(speed), np.concatenate(turned), np.array(path)
+    assert np.percentile(speed_mps, [25, 50, 75, 95, 99]) == pytest.approx([2.2, 5.5, 8.0, 10.4, 12.1], abs=1.3)
+    assert np.mean(speed_mps < 0.2) == pytest.approx(0.16, abs=0.06)
+    assert np.mean(path_m < 5.0) == pytest.approx(0.10, abs=0.04)
+    assert np.percentile(path_m, [25, 50, 75, 95]) == pytest.approx([55, 103, 141, 198], abs=25)
+    assert np.percentile(turned_deg, 50) == pytest.approx(0.41, abs=0.25)
+    assert np.percentile(turned_deg, [95, 99]) == pytest.approx([12.8, 22.5], abs=6.0)
+    assert turned_deg.max() < 40.0
+
+
+def test_written_poses_stay_near_the_truth_and_stand_still_with_the_car():
+    for situation in ("ordinary", "standing"):
+        for drive in drives(situation, 3):
+            localisation = localise(np.random.default_rng(2), drive, 0.03)
+            time_s = np.arange(0.0, 20.0, 0.02)
+            x, y, yaw = localisation.pose(time_s)
+            late = np.hypot(x - drive.at("x_m", time_s - 0.03), y - drive.at("y_m", time_s - 0.03))
+            assert late.max() < 0.3
+            assert np.degrees(np.abs(yaw - drive.at("yaw_rad", time_s - 0.03))).max() < 0.35
+            assert np.degrees(np.abs(np.diff(yaw) - np.diff(drive.at("yaw_rad", time_s - 0.03)))).max() < 0.1
+            rest = np.interp(time_s - 0.1, drive.time_s, drive.speed_mps) == 0.0
+            rest &= np.interp(time_s + 0.1, drive.time_s, drive.speed_mps) == 0.0
+            assert np.hypot(np.diff(x), np.diff(y))[rest[1:] & rest[:-1]].max(initial=0.0) < 1e-9
