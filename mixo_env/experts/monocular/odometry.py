@@ -1,0 +1,203 @@
+"""Single-camera odometry: images and distances in, yaw increments, states and signals out."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from mixo_env.errors import DatasetError
+from mixo_env.experts.expert import CameraStep, State
+from mixo_env.experts.monocular.camera import MountedCamera, mount
+from mixo_env.experts.monocular.config import MonocularConfig
+from mixo_env.experts.monocular.features import FeatureDetector, Features
+from mixo_env.experts.monocular.matching import match_features
+from mixo_env.experts.monocular.motion import Motion, MotionPrior, estimate_motion
+from mixo_env.experts.monocular.vocabulary import GENERAL_VOCABULARY, Vocabulary, load_vocabulary
+from mixo_env.nuscenes.scene import CameraCalibration
+
+_FROZEN_DISTANCE_M = 0.05  # moving at least so far must change at least one pixel
+_NEAREST_M = 4.0  # search windows allow for points this near
+
+
+@dataclass(frozen=True)
+class _Frame:
+    """One image, reduced to what the next one is compared with."""
+
+    features: Features
+    node: NDArray[np.int32]
+
+
+@dataclass(frozen=True)
+class _Pair:
+    """Outcome of matching two consecutive images."""
+
+    matches: int
+    flow_px: float
+    motion: Motion | None
+
+
+def _vocabulary(name: str) -> Vocabulary:
+    return load_vocabulary(GENERAL_VOCABULARY if name == "general" else Path(name))
+
+
+class MonocularOdometry:
+    """Yaw odometry of one camera with known scale, mounting and lever arm (implements ``CameraExpert``).
+
+    States. Every image is matched with the one before; a pair is *good* when it has enough matches, its motion was
+    found with enough inliers, and its standard deviation is small.
+
+    * INITIALISING from the first image until ``initial_pairs`` good pairs came in a row (each with
+      ``initial_matches``) and the car travelled ``initial_distance_m`` during them; a car that stands still gives no
+      parallax, so ``initial_patience_pairs`` good pairs are enough without it. The pair that ends it is TRACKING.
+    * TRACKING while pairs stay good: the only state with an increment.
+    * LOST on the first pair that is not good: fewer than ``min_matches`` matches, no trustworthy motion, an image equal
+      to the last one although the car moved, a gap in time too long. The next good pair starts INITIALISING again.
+
+    The row "w/o inertial initialization" of the paper is a matter of replay: zero yaw and distance in every step until
+    the first TRACKING of a scene. Instant re-initialisation is ``initial_pairs=1, initial_distance_m=0.0``.
+
+    No measured yaw rate enters; the distance does (the external scale s_k). Same input, same bits.
+
+    Args:
+        calibration: pinhole camera and mounting; images must have its width and height.
+        config: settings; default is the preset ``fast``.
+
+    Raises:
+        DatasetError: for a calibration that is no pinhole camera or left-handed.
+    """
+
+    def __init__(self, calibration: CameraCalibration, config: MonocularConfig | None = None) -> None:
+        self.config = config or MonocularConfig()
+        self.camera: MountedCamera = mount(calibration, self.config.max_pixels)
+        self._detector = FeatureDetector(self.config)
+        self._vocabulary = _vocabulary(self.config.vocabulary)
+        self._previous: _Frame | None = None
+        self._last_timestamp_us: int | None = None
+        self._last_image: NDArray[np.uint8] | None = None
+        self._state = State.INITIALISING
+        self._good_pairs = 0
+        self._good_distance_m = 0.0
+
+    def process(self, image: NDArray[np.uint8], timestamp_us: int, distance_m: float) -> CameraStep:
+        """Take the next image.
+
+        Args:
+            image: ``(height, width)`` grey uint8, of the calibrated size or already at ``camera.working_shape``.
+            timestamp_us: exposure time; must increase.
+            distance_m: travelled since the previous image, negative in reverse; not used with the first image.
+
+        Raises:
+            DatasetError: wrong type or size of image, time that does not increase, distance that is not finite.
+        """
+        self._check(image, timestamp_us, distance_m)
+        previous, last, working = self._previous, self._last_image, self._shrink(image)
+        gap_s = math.inf if self._last_timestamp_us is None else (timestamp_us - self._last_timestamp_us) * 1e-6
+        self._last_timestamp_us, self._last_image = timestamp_us, working
+        if last is not None and abs(distance_m) > _FROZEN_DISTANCE_M and np.array_equal(working, last):
+            self._previous = None  # the time of a frozen image is unknown: nothing may be compared with it
+            return self._close(None, distance_m)
+        features = self._detector.detect(working)
+        frame = _Frame(features, self._vocabulary.nodes(features.descriptor, self.config.fine_nodes))
+        self._previous = frame
+        if previous is None or gap_s > self.config.max_gap_s:
+            return self._close(None, distance_m)
+        return self._close(self._compare(previous, frame, gap_s, distance_m), distance_m)
+
+    def _check(self, image: NDArray[np.uint8], timestamp_us: int, distance_m: float) -> None:
+        name, camera = self.camera.channel, self.camera
+        if not isinstance(image, np.ndarray) or image.dtype != np.uint8 or image.ndim != 2:
+            kind = f"{image.dtype} {image.shape}" if isinstance(image, np.ndarray) else type(image).__name__
+            raise DatasetError(f"{name}: image must be grey uint8 (height, width), got {kind}: convert it first")
+        if image.shape not in (camera.full_shape, camera.working_shape):
+            raise DatasetError(
+                f"{name}: image must be {camera.full_shape[1]} x {camera.full_shape[0]} as calibrated, "
+                f"got {image.shape[1]} x {image.shape[0]}: one calibration fits one image size"
+            )
+        if self._last_timestamp_us is not None and timestamp_us <= self._last_timestamp_us:
+            raise DatasetError(
+                f"{name}: image times must increase, got {timestamp_us} after {self._last_timestamp_us}: sort them"
+            )
+        if not math.isfinite(distance_m):
+            raise DatasetError(f"{name}: distance must be finite, got {distance_m} m: check the wheel speeds")
+
+    def _shrink(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """The image at working resolution, as an array of its own."""
+        if image.shape == self.camera.working_shape:
+            return image.copy()
+        height, width = self.camera.working_shape
+        factor = 2**self.camera.halvings
+        cut = image[: height * factor, : width * factor]
+        return np.asarray(cv2.resize(cut, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
+
+    def _compare(self, first: _Frame, second: _Frame, gap_s: float, distance_m: float) -> _Pair:
+        """Match two images and solve for the motion between them: no memory beyond the pair."""
+        camera, config = self.camera, self.config
+        max_yaw = config.max_yaw_rate_radps * gap_s
+        radius = (max_yaw + abs(distance_m) / _NEAREST_M) / camera.pixel_size + 8.0
+        nodes = self._vocabulary.branches ** (2 if config.fine_nodes else 1)
+        i, j = match_features(
+            first.features,
+            second.features,
+            first.node,
+            second.node,
+            nodes,
+            radius,
+            config.match_max_bits,
+            config.match_ratio,
+        )
+        if len(i) < config.min_matches:
+            flow = math.nan if not len(i) else self._flow(first.features.position_px[i], second.features.position_px[j])
+            return _Pair(len(i), flow, None)
+        p1, p2 = first.features.position_px[i], second.features.position_px[j]
+        picked = slice(None, None, -(-len(i) // config.solver_matches))
+        motion = estimate_motion(
+            camera.plane(p1[picked]),
+            camera.plane(p2[picked]),
+            camera.rotation,
+            camera.lever_m,
+            MotionPrior(distance_m, max_yaw, config.noise_px * camera.pixel_size, config.tilt_std_rad, config.slip_std),
+        )
+        return _Pair(len(i), self._flow(p1, p2), motion)
+
+    def _flow(self, p1: NDArray[np.float32], p2: NDArray[np.float32]) -> float:
+        """Median displacement [full px]."""
+        return float(np.median(np.hypot(*(p2 - p1).T))) * 2**self.camera.halvings
+
+    def _close(self, pair: _Pair | None, distance_m: float) -> CameraStep:
+        """Advance the state by one image and report."""
+        config = self.config
+        motion = pair.motion if pair is not None else None
+        share = 0.0 if motion is None else float(np.mean(motion.inlier))
+        inliers = 0 if pair is None else round(share * pair.matches)
+        good = motion is not None and inliers >= config.min_inliers and motion.yaw_std_rad <= config.max_yaw_std_rad
+        if not good:
+            first_image = pair is None and self._state is State.INITIALISING and self._good_pairs == 0
+            self._state = State.INITIALISING if first_image else State.LOST
+            self._good_pairs, self._good_distance_m = 0, 0.0
+        elif self._state is not State.TRACKING:
+            self._state = State.INITIALISING
+            if pair is not None and pair.matches >= config.initial_matches:
+                self._good_pairs += 1
+                self._good_distance_m += abs(distance_m)
+            else:
+                self._good_pairs, self._good_distance_m = 0, 0.0
+            moved = self._good_distance_m >= config.initial_distance_m and self._good_pairs >= config.initial_pairs
+            if moved or self._good_pairs >= config.initial_patience_pairs:
+                self._state = State.TRACKING
+        tracking = self._state is State.TRACKING and motion is not None
+        focal = float(np.mean(self.camera.focal_px))
+        return CameraStep(
+            state=self._state,
+            yaw_increment_rad=motion.yaw_rad if tracking and motion else math.nan,
+            yaw_std_rad=motion.yaw_std_rad if tracking and motion else math.nan,
+            matches=0 if pair is None else pair.matches,
+            inliers=inliers,
+            residual_px=motion.residual * focal if motion is not None else math.nan,
+            flow_px=math.nan if pair is None else pair.flow_px,
+            two_frame_yaw_increment_rad=motion.yaw_rad if good and motion else math.nan,
+        )
