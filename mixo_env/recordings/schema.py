@@ -10,6 +10,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 SCHEMA_VERSION = 1
 
 INERTIAL_EXPERTS = ("INERTIAL", "INERTIAL_POSE", "INERTIAL_CONSUMER")
@@ -48,10 +51,10 @@ INERTIAL_COLUMNS: dict[str, str] = {
 CAMERA_COLUMNS: dict[str, str] = {
     "state": "int8",
     "image_time_offset_s": "float32",  # own image time - t_k (<= 0); NaN without an image
-    "own_window_s": "float32",  # length of the camera's own image window; NaN without an image
+    "own_window_s": "float32",  # time since the camera's previous image; NaN without one
     "own_window_yaw_increment_rad": "float32",  # raw, over the own window; NaN unless TRACKING
-    "yaw_increment_rad": "float32",  # carried to (t_{k-1}, t_k] by inertial yaw; NaN unless TRACKING in both rounds
-    "two_frame_yaw_increment_rad": "float32",  # stateless, from the last two images alone; NaN when it fails
+    "yaw_increment_rad": "float32",  # over (t_{k-1}, t_k]: carried; NaN unless TRACKING with images in both rounds
+    "two_frame_yaw_increment_rad": "float32",  # stateless, from two images alone, carried alike; NaN if it fails
     "own_window_truth_yaw_increment_rad": "float64",  # from the poses at the camera's own times
     "yaw_std_rad": "float32",
     "matches": "float32",  # matched features
@@ -70,6 +73,14 @@ def columns(cameras: tuple[str, ...], inertial: tuple[str, ...], imported: tuple
     for experts, layout in ((cameras, CAMERA_COLUMNS), (inertial, INERTIAL_COLUMNS), (imported, IMPORTED_COLUMNS)):
         table |= {f"{expert}.{name}": dtype for expert in experts for name, dtype in layout.items()}
     return table
+
+
+def empty_columns(
+    rows: int, cameras: tuple[str, ...], inertial: tuple[str, ...], imported: tuple[str, ...] = ()
+) -> dict[str, NDArray[Any]]:
+    """All columns of :func:`columns`, ``(rows,)`` each, filled with NaN (zero in columns that are not floats)."""
+    layout = columns(cameras, inertial, imported)
+    return {name: np.full(rows, np.nan if "float" in dtype else 0, dtype) for name, dtype in layout.items()}
 
 
 @dataclass(frozen=True)

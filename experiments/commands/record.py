@@ -1,0 +1,87 @@
+"""``mixo record``: run the experts over a nuScenes folder, once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from tyro.conf import Positional
+
+from mixo_env.nuscenes.selections import CAMERAS
+
+
+@dataclass(frozen=True)
+class Record:
+    """Run the experts over a nuScenes folder, real or simulated, and keep what they say.
+
+    Images are read here and never again: environments, policies and scores work on the recording. An interrupted run
+    continues where it stopped; scenes that cannot be recorded are skipped with a reason.
+
+    Worked examples:
+
+      mixo record city --out recorded                                     a simulated folder
+      mixo record /data/nuscenes --out trainval --workers 8               everything you have
+      mixo record /data/nuscenes --out two --scenes scene-0655 scene-0757
+      mixo record city --out front --cameras CAM_FRONT CAM_FRONT_LEFT
+      mixo benchmark --recordings recorded                                what to do next
+    """
+
+    root: Positional[Path]
+    """Folder that holds v1.0-*, samples, sweeps and can_bus."""
+    out: Path
+    """Folder of the recording."""
+    workers: int = 1
+    """Processes; each records one scene at a time. The result does not depend on it."""
+    scheduler: str | None = None
+    """Record on a Dask cluster instead, e.g. tcp://10.0.0.1:8786; its workers must see the folder under the same path
+    (needs the extra "cluster")."""
+    version: str | None = None
+    """Tables to use, e.g. v1.0-trainval; needed only when the folder holds several."""
+    scenes: tuple[str, ...] = ()
+    """Scenes to record; all by default."""
+    cameras: tuple[str, ...] = CAMERAS
+    """Cameras to record; the paper's four by default."""
+    preset: Literal["fast", "paper"] = "fast"
+    """Settings of the monocular odometry; "paper": 8000 features, 19 levels, full resolution."""
+    folds: Literal["log", "contiguous"] = "log"
+    """Folds of the cross-validation: whole drives, or the paper's contiguous blocks of scenes."""
+    data_version: str | None = None
+    """Name of the data in every result; the version of the tables by default."""
+
+    def run(self) -> int:
+        """Record and say what was recorded."""
+        from rich.console import Console
+        from rich.progress import Progress
+
+        from mixo_env.experts.monocular.config import MonocularConfig
+        from mixo_env.nuscenes.tables import open_dataset
+        from mixo_env.recordings.record import RecordConfig, record
+
+        config = RecordConfig(
+            cameras=self.cameras,
+            scenes=self.scenes,
+            monocular=MonocularConfig.preset(self.preset),
+            folds=self.folds,
+            data_version=self.data_version,
+        )
+        dataset = open_dataset(self.root, self.version)
+        console = Console(stderr=True)
+        with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
+            task = bar.add_task("recording scenes", total=None)
+            recordings = record(
+                dataset,
+                config,
+                self.out,
+                workers=self.workers,
+                progress=lambda done, total: bar.update(task, completed=done, total=total),
+                scheduler=self.scheduler,
+            )
+        manifest = recordings.manifest
+        skipped = len(manifest.parameters["skipped"])
+        print(
+            f"{self.out}: {len(recordings)} scenes, {len(recordings['step']):,} rows, "
+            f"{len({scene.log for scene in recordings.scenes})} logs ({manifest.data_version})"
+            + (f"; {skipped} skipped, see above" if skipped else "")
+        )
+        return 0

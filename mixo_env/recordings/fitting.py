@@ -1,0 +1,75 @@
+"""What a recording's manifest says about its own statistics: LINEAR's weights per fold and the scale of the reward."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixo_env.fusion import least_squares_weights, mix
+from mixo_env.recordings.collection import Recordings
+from mixo_env.recordings.schema import TRACKS
+
+FloatArray = NDArray[np.float64]
+
+NOTHING_HELD_OUT = "none"
+"""Key of the weights fitted on all folds."""
+
+DEFAULT_REWARD_SCALE_RAD = np.deg2rad(0.05)
+"""sigma_0 where LINEAR's error says nothing: imported experts, or no scene in any fold."""
+
+MAD_TO_SIGMA = 1.4826
+"""Standard deviation of a normal distribution over its median absolute deviation."""
+
+
+def substituted_increments(recordings: Recordings, track: str) -> FloatArray:
+    """The voters' yaw increments ``(rows, voters)`` [rad] with ``lost="inertial"``.
+
+    A missing increment is replaced by the track's inertial expert; INERTIAL stands in where the track has none or where
+    that one is missing as well. Row 0 of each scene stays NaN.
+    """
+    substitute = recordings["INERTIAL.yaw_increment_rad"].astype(np.float64)
+    inertial = TRACKS[track]
+    if inertial is not None:
+        own = recordings[f"{inertial}.yaw_increment_rad"]
+        substitute = np.where(np.isfinite(own), own, substitute)
+    votes = [recordings[f"{expert}.yaw_increment_rad"] for expert in recordings.voters(track)]
+    return np.stack([np.where(np.isfinite(vote), vote, substitute) for vote in votes], axis=-1)
+
+
+def with_fits(recordings: Recordings) -> Recordings:
+    """The recordings with ``linear_weights`` and ``reward_scale_rad`` filled in for every track.
+
+    LINEAR is fitted once on all folds and once per fold held out; night scenes (fold -1) never take part. The reward
+    scale is 1.4826 x the median absolute deviation of LINEAR's yaw-increment error, each scene predicted by the
+    weights that have not seen its fold (with a single fold: by the weights fitted on it).
+    """
+    folds = np.repeat([scene.fold for scene in recordings.scenes], np.diff(recordings.offsets))
+    truth = recordings["truth.yaw_increment_rad"]
+    weights: dict[str, dict[str, dict[str, float]]] = {}
+    scales: dict[str, float] = {}
+    for track in TRACKS:
+        votes = substituted_increments(recordings, track)
+        usable = (folds >= 0) & np.isfinite(truth) & np.isfinite(votes).all(axis=-1)
+        present = np.unique(folds[usable])
+        training = {NOTHING_HELD_OUT: usable} if len(present) else {}
+        if len(present) > 1:
+            training |= {str(fold): usable & (folds != fold) for fold in present}
+        fitted = {held_out: least_squares_weights(votes[rows], truth[rows]) for held_out, rows in training.items()}
+
+        errors = [
+            mix(fitted[str(fold) if len(present) > 1 else NOTHING_HELD_OUT], votes[rows]) - truth[rows]
+            for fold in present
+            for rows in [usable & (folds == fold)]
+        ]
+        scales[track] = float(DEFAULT_REWARD_SCALE_RAD)
+        if errors and not recordings.manifest.imported:
+            error = np.concatenate(errors)
+            scales[track] = float(MAD_TO_SIGMA * np.median(np.abs(error - np.median(error))))
+        voters = recordings.voters(track)
+        weights[track] = {
+            held_out: dict(zip(voters, map(float, values), strict=True)) for held_out, values in fitted.items()
+        }
+    manifest = replace(recordings.manifest, linear_weights=weights, reward_scale_rad=scales)
+    return Recordings(manifest, {name: recordings[name] for name in recordings.column_names})

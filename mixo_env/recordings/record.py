@@ -1,0 +1,242 @@
+"""Run the experts over the scenes of a data set, once: parts as they come, one recording in the end.
+
+Every finished scene is written at once as a part, so an interrupted run continues where it stopped and a finished
+recording takes in further scenes; parts count only if the same configuration, software and inputs made them.
+"""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any, Protocol, cast
+
+import numpy as np
+
+from mixo_env.errors import ConfigurationError, DatasetError, unknown
+from mixo_env.experts.inertial import (
+    SPEED_VARIANCE,
+    WHEEL_RADIUS_M,
+    YAW_RATE_VARIANCE,
+    InertialOdometry,
+    ProcessNoise,
+)
+from mixo_env.experts.monocular.config import MonocularConfig
+from mixo_env.nuscenes.scene import Scene
+from mixo_env.nuscenes.selections import CAMERAS
+from mixo_env.recordings.collection import Recordings
+from mixo_env.recordings.fitting import with_fits
+from mixo_env.recordings.folds import FOLD_RULES, OUT_OF_DISTRIBUTION, with_folds
+from mixo_env.recordings.parts import Part, PartFolder, finished_parts
+from mixo_env.recordings.processes import processes
+from mixo_env.recordings.provenance import configuration_hash, inputs_hash, software_versions
+from mixo_env.recordings.schema import INERTIAL_EXPERTS, SCHEMA_VERSION, Manifest, SceneEntry, VehicleConstants
+from mixo_env.recordings.steps import Columns, Experts, record_scene
+from mixo_env.recordings.store import TIMINGS_FILE, load_recordings, save_recordings, write_columns
+
+logger = logging.getLogger(__name__)
+
+CAMERA_COST_MS = 25.0
+"""Processing cost of one image in budget environments: a constant of the benchmark, not a timing of this machine."""
+
+Progress = Callable[[int, int], None]
+"""Called with the number of scenes done and of all scenes."""
+
+
+Result = Part | str | None
+"""Of one scene: what was recorded, why it could not be, or ``None`` if an earlier part still fits."""
+
+
+class SceneSource(Protocol):
+    """What is recorded: :class:`mixo_env.nuscenes.tables.Dataset`, or anything like it."""
+
+    @property
+    def version(self) -> str:
+        """E.g. ``"v1.0-trainval"``."""
+        ...
+
+    @property
+    def scene_names(self) -> tuple[str, ...]:
+        """All scenes, in order."""
+        ...
+
+    def load(self, name: str, cameras: tuple[str, ...]) -> Scene:
+        """One scene; :class:`DatasetError` when it is broken."""
+        ...
+
+
+@dataclass(frozen=True)
+class RecordConfig:
+    """What is recorded and how.
+
+    Attributes:
+        cameras: channels, in column order.
+        scenes: names; empty for all of the data set.
+        monocular: settings of every camera's odometry.
+        folds: rule of ``FOLD_RULES``: ``"log"``, or the paper's ``"contiguous"``.
+        data_version: printed with every result; ``None`` is the version of the data set.
+    """
+
+    cameras: tuple[str, ...] = CAMERAS
+    scenes: tuple[str, ...] = ()
+    monocular: MonocularConfig = field(default_factory=MonocularConfig)
+    folds: str = "log"
+    data_version: str | None = None
+
+    def __post_init__(self) -> None:
+        """Check names.
+
+        Raises:
+            ConfigurationError: for an unknown rule, no camera or a camera given twice.
+        """
+        if self.folds not in FOLD_RULES:
+            raise ConfigurationError(unknown("fold rule", self.folds, FOLD_RULES))
+        if not self.cameras or len(set(self.cameras)) != len(self.cameras):
+            raise ConfigurationError(f"cameras must be given once each, got {', '.join(self.cameras) or 'none'}")
+
+    def parameters(self) -> dict[str, Any]:
+        """What decides the recorded values, as plain JSON values."""
+        return {
+            "schema_version": SCHEMA_VERSION,
+            "cameras": list(self.cameras),
+            "monocular": asdict(self.monocular),
+            "inertial": asdict(ProcessNoise())
+            | {
+                "wheel_radius_m": WHEEL_RADIUS_M,
+                "speed_variance": SPEED_VARIANCE,
+                "yaw_rate_variance": YAW_RATE_VARIANCE,
+            },
+        }
+
+
+def default_experts(config: RecordConfig) -> Experts:
+    """The project's own odometry."""
+    from mixo_env.experts.monocular.odometry import MonocularOdometry
+
+    return Experts(partial(MonocularOdometry, config=config.monocular), InertialOdometry)
+
+
+def record(
+    dataset: SceneSource,
+    config: RecordConfig,
+    out: str | Path,
+    workers: int = 1,
+    progress: Progress | None = None,
+    experts: Experts | None = None,
+    scheduler: str | None = None,
+) -> Recordings:
+    """Record scenes into a folder.
+
+    Scenes that cannot be recorded (no CAN bus, an unreadable image, ...) are skipped with a warning and listed in the
+    manifest's parameters. Values do not depend on the number of workers.
+
+    Args:
+        dataset: where scenes come from.
+        config: what is recorded and how.
+        out: folder of the recording. What it already holds of these scenes is kept.
+        workers: processes, each with one scene at a time.
+        progress: called after every scene.
+        experts: makes the odometry; default: the project's own.
+        scheduler: address of a Dask scheduler whose workers record instead.
+
+    Raises:
+        ConfigurationError: for an unknown scene or camera, or if ``out`` holds a recording of another configuration.
+        DatasetError: if not a single scene could be recorded.
+    """
+    from joblib import Parallel, delayed
+
+    out = Path(out)
+    names = _scene_names(dataset, config)
+    experts = experts or default_experts(config)
+    configuration = configuration_hash(config.parameters())
+    folder = PartFolder(out, configuration)
+    parts = finished_parts(out, configuration) | folder.read()
+    if strangers := sorted(set(parts) - set(dataset.scene_names)):
+        raise ConfigurationError(
+            f"{out} holds scenes that are not in this data set ({strangers[0]}, ...): choose another --out"
+        )
+
+    # Scenes recorded earlier stay, whether they are asked for or not.
+    names = [name for name in dataset.scene_names if name in names or name in parts]
+    skipped: dict[str, str] = {}
+    tasks = (
+        delayed(_record_one)(dataset, name, config.cameras, experts, parts[name].inputs if name in parts else None)
+        for name in names
+    )
+    with processes(workers, scheduler):
+        results = cast("Iterator[tuple[str, Result]]", Parallel(return_as="generator_unordered")(tasks))
+        for done, (name, result) in enumerate(results, start=1):
+            if isinstance(result, Part):
+                folder.write(result)
+                parts[name] = result
+            elif isinstance(result, str) and name in parts:
+                logger.warning("kept %s as recorded earlier: %s", name, result)
+            elif isinstance(result, str):
+                skipped[name] = result
+                logger.warning("skipped %s: %s", name, result)
+            if progress is not None:
+                progress(done, len(names))
+    if not parts:
+        raise DatasetError(f"none of {len(names)} scenes could be recorded; the first, {names[0]}: {skipped[names[0]]}")
+
+    ordered = [parts[name] for name in names if name in parts]
+    parameters = config.parameters() | {
+        "configuration": configuration,
+        "dataset": dataset.version,
+        "folds": config.folds,
+        "inputs": {part.entry.name: part.inputs for part in ordered},
+        "skipped": {name: skipped[name] for name in sorted(skipped)},
+    }
+    manifest = Manifest(
+        data_version=config.data_version or dataset.version,
+        cameras=config.cameras,
+        inertial=INERTIAL_EXPERTS,
+        imported=(),
+        scenes=with_folds([part.entry for part in ordered], config.folds),
+        parameters=parameters,
+        software=software_versions(),
+        vehicles={part.entry.vehicle: VehicleConstants() for part in ordered},
+        camera_cost_ms=dict.fromkeys(config.cameras, CAMERA_COST_MS),
+    )
+    save_recordings(with_fits(Recordings(manifest, _joined([part.columns for part in ordered]))), out)
+    timings = _joined([part.timings for part in ordered])
+    write_columns(out / TIMINGS_FILE, timings, [len(timings["timestamp_us"])])
+    folder.remove()
+    return load_recordings(out)
+
+
+def _record_one(
+    dataset: SceneSource, name: str, cameras: tuple[str, ...], experts: Experts, known_inputs: str | None
+) -> tuple[str, Result]:
+    """Record one scene, in any process.
+
+    Returns:
+        The scene's name and the result; ``None`` if its inputs are the known ones.
+    """
+    import cv2
+
+    cv2.setNumThreads(1)
+    try:
+        scene = dataset.load(name, cameras)
+        inputs = inputs_hash(scene)
+        if inputs == known_inputs:
+            return name, None
+        columns, timings = record_scene(scene, experts)
+    except (DatasetError, OSError) as error:
+        return name, " ".join(str(error).split())
+    fold = OUT_OF_DISTRIBUTION  # until all scenes are known
+    entry = SceneEntry(name, scene.log, scene.vehicle, scene.location, scene.conditions, fold, len(columns["step"]))
+    return name, Part(entry, inputs, columns, timings)
+
+
+def _scene_names(dataset: SceneSource, config: RecordConfig) -> set[str]:
+    for name in config.scenes:
+        if name not in dataset.scene_names:
+            raise ConfigurationError(unknown("scene", name, dataset.scene_names))
+    return set(config.scenes or dataset.scene_names)
+
+
+def _joined(tables: list[Columns]) -> Columns:
+    return {name: np.concatenate([table[name] for table in tables]) for name in tables[0]}

@@ -1,0 +1,199 @@
+"""One scene through all experts: the rows of a recording, causal by construction.
+
+Row k is made of images, match counts and CAN messages up to t_k and of nothing later: rounds close with their last
+image, cameras see their images in time order, and inertial odometry at t uses messages up to t.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixo_env.errors import DatasetError
+from mixo_env.experts.expert import CameraExpert, CameraStep, State
+from mixo_env.experts.inertial import InertialTrack
+from mixo_env.nuscenes.scene import CameraCalibration, CameraTrack, CanBus, Scene
+from mixo_env.recordings.clock import carry, firing_rounds
+from mixo_env.recordings.schema import INERTIAL_EXPERTS, empty_columns
+from mixo_env.recordings.truth import exact_truth, own_window_truth, step_truth
+
+logger = logging.getLogger(__name__)
+
+Columns = dict[str, NDArray[Any]]
+
+TIMING_COLUMNS = {
+    "scene": "object",
+    "camera": "object",
+    "timestamp_us": "int64",
+    "decode_ms": "float64",
+    "expert_ms": "float64",
+}
+"""CPU time of every image: kept apart from the recording, never hashed."""
+
+
+class InertialExpert(Protocol):
+    """Causal inertial odometry of one scene."""
+
+    def at(self, timestamps_us: NDArray[np.int64]) -> InertialTrack:
+        """Evaluate at increasing times; the value at t uses messages up to t only."""
+        ...
+
+
+@dataclass(frozen=True)
+class Experts:
+    """How the experts of a scene are made.
+
+    Attributes:
+        camera: odometry of one camera.
+        inertial: one inertial grade from a CAN bus; raises :class:`DatasetError` when its messages are missing.
+    """
+
+    camera: Callable[[CameraCalibration], CameraExpert]
+    inertial: Callable[[CanBus, str], InertialExpert]
+
+
+def record_scene(scene: Scene, experts: Experts) -> tuple[Columns, Columns]:
+    """Run every expert over one scene.
+
+    Args:
+        scene: its cameras become the recording's, in their order.
+        experts: makes them.
+
+    Returns:
+        All columns of the schema, ``(rows,)`` each, and the timings, ``(images,)`` each.
+
+    Raises:
+        DatasetError: without CAN bus, wheel speeds or IMU, or if they do not cover the images; for timing that is not
+            that of the nuScenes rig; for an image that cannot be read.
+    """
+    if scene.can_bus is None:
+        raise DatasetError("no CAN bus: distance and inertial odometry need wheel speeds and an IMU")
+    rounds = firing_rounds({camera: track.timestamp_us for camera, track in scene.cameras.items()})
+    closing = rounds.closing_time_us
+    columns = empty_columns(len(rounds), rounds.cameras, INERTIAL_EXPERTS)
+    columns["step"][:] = np.arange(len(rounds))
+    columns["timestamp_us"][:] = closing
+    columns["time_s"][:] = 1e-6 * (closing - closing[0])
+    columns["dt_s"][1:] = 1e-6 * np.diff(closing)
+    truth = step_truth(scene.cameras, rounds) | (exact_truth(scene.exact, rounds) if scene.exact else {})
+    for name, values in truth.items():
+        columns[name][:] = values
+
+    wheels_and_imu = experts.inertial(scene.can_bus, "INERTIAL")
+    times = np.unique(rounds.image_time_us[rounds.fired])  # the closing times are among them
+    inertial = wheels_and_imu.at(times)
+    at_close = np.searchsorted(times, closing)
+    columns["distance_m"][1:] = np.diff(inertial.distance_m[at_close])
+    columns["speed_mps"][:] = inertial.speed_mps[at_close]
+    _record_grade(columns, "INERTIAL", wheels_and_imu.at(closing))
+    for grade in INERTIAL_EXPERTS[1:]:
+        try:
+            _record_grade(columns, grade, experts.inertial(scene.can_bus, grade).at(closing))
+        except (
+            DatasetError
+        ) as error:  # its columns stay NaN: that the scene has no such message is no reason to drop it
+            logger.info("%s: %s", scene.name, error)
+    for name in ("truth.yaw_increment_rad", "truth.distance_m", "distance_m", "INERTIAL.yaw_increment_rad"):
+        if not np.isfinite(columns[name][1:]).all():
+            raise DatasetError(f"{name} is not finite in every step: the CAN bus or the poses do not cover the images")
+
+    timings = []
+    for j, (camera, track) in enumerate(scene.cameras.items()):
+        rows = np.flatnonzero(rounds.fired[:, j])
+        image = rounds.image[rows, j]
+        at_image = np.searchsorted(times, track.timestamp_us[image])
+        steps, timing = _run_camera(
+            scene.name, experts.camera(track.calibration), track, image, inertial.distance_m[at_image]
+        )
+        timings.append(timing)
+        tail = np.full(len(rounds), np.nan)
+        tail[rows] = inertial.yaw_rad[at_close[rows]] - inertial.yaw_rad[at_image]
+        _record_camera(columns, camera, steps, rows, tail)
+        columns[f"{camera}.image_time_offset_s"][rows] = 1e-6 * (track.timestamp_us[image] - closing[rows])
+        columns[f"{camera}.own_window_s"][rows[1:]] = 1e-6 * np.diff(track.timestamp_us[image])
+        columns[f"{camera}.own_window_truth_yaw_increment_rad"][:] = own_window_truth(track, rounds.image[:, j])
+    return columns, {name: np.concatenate([timing[name] for timing in timings]) for name in TIMING_COLUMNS}
+
+
+def _record_grade(columns: Columns, grade: str, track: InertialTrack) -> None:
+    """Increments of one inertial grade over the steps, from its track at the closing times."""
+    columns[f"{grade}.yaw_increment_rad"][1:] = np.diff(track.yaw_rad)
+    columns[f"{grade}.yaw_std_rad"][1:] = np.sqrt(np.diff(track.yaw_variance_rad2))
+
+
+def _run_camera(
+    scene: str, expert: CameraExpert, track: CameraTrack, image: NDArray[np.int64], distance_m: NDArray[np.float64]
+) -> tuple[list[CameraStep], Columns]:
+    """Show an expert its images in time order.
+
+    Args:
+        scene: its name.
+        expert: fresh.
+        track: the camera.
+        image: ``(n,)`` the images to show.
+        distance_m: ``(n,)`` inertial distance since the start of the scene at each of them.
+
+    Returns:
+        The expert's ``n`` steps and their timings.
+    """
+    steps, decode_ms, expert_ms = [], [], []
+    travelled = np.diff(distance_m, prepend=distance_m[0])
+    for i, metres in zip(image, travelled, strict=True):
+        start = time.thread_time()
+        grey = read_grey(track.image_paths[i])
+        decoded = time.thread_time()
+        steps.append(expert.process(grey, int(track.timestamp_us[i]), float(metres)))
+        decode_ms.append(1e3 * (decoded - start))
+        expert_ms.append(1e3 * (time.thread_time() - decoded))
+    timing = {
+        "scene": np.full(len(image), scene, object),
+        "camera": np.full(len(image), track.calibration.channel, object),
+        "timestamp_us": track.timestamp_us[image],
+        "decode_ms": np.array(decode_ms),
+        "expert_ms": np.array(expert_ms),
+    }
+    return steps, timing
+
+
+def _record_camera(
+    columns: Columns, camera: str, steps: list[CameraStep], rows: NDArray[np.int64], tail_rad: NDArray[np.float64]
+) -> None:
+    """Columns of one camera from what its expert said; rows without an image stay NaN.
+
+    Args:
+        columns: filled in place.
+        camera: name of the expert.
+        steps: one for each of ``rows``.
+        rows: rounds in which the camera fired.
+        tail_rad: ``(rounds,)`` inertial turn between the camera's image and t_k; NaN where it did not fire.
+    """
+    columns[f"{camera}.state"][:] = State.NO_IMAGE
+    for name in ("state", "yaw_std_rad", "matches", "inliers", "residual_px", "flow_px"):
+        columns[f"{camera}.{name}"][rows] = [getattr(step, name) for step in steps]
+    own, two_frame = np.full((2, len(tail_rad)), np.nan)
+    own[rows] = [step.yaw_increment_rad for step in steps]
+    two_frame[rows] = [step.two_frame_yaw_increment_rad for step in steps]
+    columns[f"{camera}.own_window_yaw_increment_rad"][:] = own
+    columns[f"{camera}.yaw_increment_rad"][:] = carry(own, tail_rad)
+    columns[f"{camera}.two_frame_yaw_increment_rad"][:] = carry(two_frame, tail_rad)
+
+
+def read_grey(path: Path) -> NDArray[np.uint8]:
+    """A JPEG as ``(height, width)`` grey.
+
+    Raises:
+        DatasetError: if it is missing, truncated or no JPEG.
+    """
+    import simplejpeg
+
+    try:
+        return simplejpeg.decode_jpeg(path.read_bytes(), colorspace="GRAY")[..., 0]
+    except (OSError, ValueError) as error:
+        raise DatasetError(f"{path} cannot be read as JPEG ({error}): unpack or simulate it again") from None

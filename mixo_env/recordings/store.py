@@ -1,0 +1,207 @@
+"""Recordings on disk: one Parquet file with a row group per scene, and ``manifest.json`` beside it.
+
+What is read is checked against the manifest: schema version, columns, row counts and a hash of every scene's column
+values, so a truncated or edited file is one clear error and never a wrong score.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import tempfile
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import replace
+from importlib.resources import files
+from importlib.resources.abc import Traversable
+from pathlib import Path
+
+import numpy as np
+
+from mixo_env.errors import RecordingError, unknown
+from mixo_env.recordings.collection import Column, Recordings
+from mixo_env.recordings.schema import SCHEMA_VERSION, Manifest
+from mixo_env.recordings.schema import columns as schema_columns
+
+DEFAULT_RECORDINGS = "mixocity"
+"""The recording that comes with the package."""
+
+RECORDINGS_FILE = "recordings.parquet"
+MANIFEST_FILE = "manifest.json"
+TIMINGS_FILE = "timings.parquet"
+
+
+@contextmanager
+def atomic_path(path: Path) -> Iterator[Path]:
+    """A temporary path in the same folder that becomes ``path`` when the block ends well and vanishes otherwise."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+    os.close(handle)
+    temporary = Path(name)
+    try:
+        yield temporary
+        temporary.chmod(0o644)
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def values_hash(columns: Mapping[str, Column]) -> str:
+    """Hash of names, types and values (every NaN counts as the same), whatever the order of the columns."""
+    digest = hashlib.blake2b(digest_size=16)
+    for name in sorted(columns):
+        values = _canonical(columns[name])
+        digest.update(f"{name}:{values.dtype.name}:{len(values)};".encode())
+        digest.update(values.tobytes())
+    return digest.hexdigest()
+
+
+def write_columns(
+    path: Path, columns: Mapping[str, Column], rows: Sequence[int], metadata: Mapping[str, str] | None = None
+) -> None:
+    """Write columns to a Parquet file, atomically, with one row group for each entry of ``rows``."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    table = pa.table({name: pa.array(_canonical(values)) for name, values in columns.items()})
+    table = table.replace_schema_metadata(dict(metadata or {}))
+    # Byte planes of floats compress well; dictionaries of floats do not, and they merge values that compare equal.
+    floats = {name: "BYTE_STREAM_SPLIT" for name, values in columns.items() if values.dtype.kind == "f"}
+    options = {"compression": "zstd", "compression_level": 9, "use_dictionary": False, "write_statistics": False}
+    with (
+        atomic_path(path) as temporary,
+        pq.ParquetWriter(temporary, table.schema, column_encoding=floats or None, **options) as writer,
+    ):
+        start = 0
+        for count in rows:
+            writer.write_table(table.slice(start, count), row_group_size=max(count, 1))
+            start += count
+
+
+def read_columns(data: bytes) -> tuple[dict[str, Column], list[int], dict[str, str]]:
+    """Columns, rows of each row group and metadata of the bytes of a Parquet file.
+
+    Raises:
+        RecordingError: if they are truncated or damaged.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    try:
+        with pq.ParquetFile(pa.BufferReader(data)) as file:
+            rows = [file.metadata.row_group(i).num_rows for i in range(file.metadata.num_row_groups)]
+            table = file.read()
+        metadata = {key.decode(): value.decode() for key, value in (table.schema.metadata or {}).items()}
+        columns = {name: np.array(table.column(name).to_numpy()) for name in table.column_names}
+    except Exception as error:  # the reader raises almost anything, depending on which byte is wrong
+        raise RecordingError(f"truncated or damaged ({str(error).splitlines()[0]})") from None
+    return columns, rows, metadata
+
+
+def save_recordings(recordings: Recordings, folder: str | Path) -> None:
+    """Write ``recordings.parquet`` and ``manifest.json`` into a folder, each atomically.
+
+    The scenes' value hashes are computed here. Columns other than those of the schema raise :class:`RecordingError`.
+    """
+    import msgspec
+
+    folder = Path(folder)
+    _check_columns(
+        {name: recordings[name].dtype.name for name in recordings.column_names}, recordings.manifest, "cannot save"
+    )
+    entries = tuple(
+        replace(scene, values_hash=values_hash(recordings.rows(i))) for i, scene in enumerate(recordings.scenes)
+    )
+    manifest = msgspec.json.format(msgspec.json.encode(replace(recordings.manifest, scenes=entries)), indent=2)
+    write_columns(
+        folder / RECORDINGS_FILE,
+        {name: recordings[name] for name in schema_columns(*_experts(recordings.manifest))},
+        [scene.rows for scene in entries],
+    )
+    with atomic_path(folder / MANIFEST_FILE) as temporary:
+        temporary.write_bytes(manifest + b"\n")
+
+
+def bundled_recordings() -> tuple[str, ...]:
+    """Names of the recordings that come with the package."""
+    data = files("mixo_env.recordings") / "data"
+    if not data.is_dir():
+        return ()
+    return tuple(sorted(entry.name for entry in data.iterdir() if (entry / MANIFEST_FILE).is_file()))
+
+
+def load_recordings(path_or_name: str | Path | None = None) -> Recordings:
+    """Open a recording.
+
+    Args:
+        path_or_name: a folder, or the name of a bundled recording; ``None`` is the bundled ``"mixocity"``.
+
+    Raises:
+        RecordingError: if it is missing, damaged, edited, or of another schema version.
+    """
+    name = DEFAULT_RECORDINGS if path_or_name is None else path_or_name
+    if isinstance(name, str) and name in bundled_recordings():
+        return _load(files("mixo_env.recordings") / "data" / name, f"bundled recording {name!r}", "reinstall mixo-env")
+    if not Path(name).exists() and len(Path(name).parts) == 1:
+        raise RecordingError(f"no folder {str(name)!r} and {unknown('recording', str(name), bundled_recordings())}")
+    return _load(Path(name), str(name), f"record anew with `mixo record ROOT --out {name}`")
+
+
+def _load(folder: Traversable, label: str, cure: str) -> Recordings:
+    manifest = _read_manifest(folder, label, cure)
+    try:
+        columns, rows, _ = read_columns((folder / RECORDINGS_FILE).read_bytes())
+    except OSError:
+        raise RecordingError(f"{label}: expected {RECORDINGS_FILE} beside {MANIFEST_FILE}; {cure}") from None
+    except RecordingError as error:
+        raise RecordingError(f"{label}: {RECORDINGS_FILE} is {error}; {cure}") from None
+    _check_columns({name: values.dtype.name for name, values in columns.items()}, manifest, label, cure)
+    expected = [scene.rows for scene in manifest.scenes]
+    if rows != expected:
+        raise RecordingError(
+            f"{label}: expected {len(expected)} scenes of {sum(expected)} rows in {RECORDINGS_FILE}, "
+            f"got {len(rows)} of {sum(rows)} (or another order); {cure}"
+        )
+    recordings = Recordings(manifest, columns)
+    for i, scene in enumerate(manifest.scenes):
+        if values_hash(recordings.rows(i)) != scene.values_hash:
+            raise RecordingError(f"{label}: the values of {scene.name} differ from the manifest's hash; {cure}")
+    return recordings
+
+
+def _read_manifest(folder: Traversable, label: str, cure: str) -> Manifest:
+    import msgspec
+
+    try:
+        table = msgspec.json.decode((folder / MANIFEST_FILE).read_bytes())
+    except OSError:
+        raise RecordingError(f"{label}: expected a folder with {MANIFEST_FILE}, found none; {cure}") from None
+    except msgspec.DecodeError as error:
+        raise RecordingError(f"{label}: {MANIFEST_FILE} is damaged ({error}); {cure}") from None
+    version = table.get("schema_version") if isinstance(table, dict) else None
+    if version != SCHEMA_VERSION:
+        raise RecordingError(f"{label}: expected schema version {SCHEMA_VERSION}, got {version}; {cure}")
+    try:
+        return msgspec.convert(table, Manifest)
+    except msgspec.ValidationError as error:
+        raise RecordingError(f"{label}: {MANIFEST_FILE} is damaged ({error}); {cure}") from None
+
+
+def _check_columns(dtypes: Mapping[str, str], manifest: Manifest, label: str, cure: str = "") -> None:
+    expected = schema_columns(*_experts(manifest))
+    missing = [name for name in expected if name not in dtypes]
+    extra = [name for name in dtypes if name not in expected]
+    wrong = [f"{name} ({dtype})" for name, dtype in dtypes.items() if dtype != expected.get(name, dtype)]
+    for problem, names in (("missing", missing), ("unexpected", extra), ("wrongly typed", wrong)):
+        if names:
+            more = f" and {len(names) - 3} more" if len(names) > 3 else ""
+            raise RecordingError(f"{label}: {problem} columns: {', '.join(names[:3])}{more}" + (cure and f"; {cure}"))
+
+
+def _experts(manifest: Manifest) -> tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]:
+    return manifest.cameras, manifest.inertial, manifest.imported
+
+
+def _canonical(values: Column) -> Column:
+    """One bit pattern for NaN: its sign bit depends on the machine."""
+    return np.where(np.isnan(values), values.dtype.type(np.nan), values) if values.dtype.kind == "f" else values

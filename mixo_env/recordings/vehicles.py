@@ -1,0 +1,61 @@
+"""Constants of each vehicle, fitted on recordings: how far its wheels really roll, and where it heads from its yaw.
+
+On real data these two leave an error of 0.3 to 0.7 m in scenes of 100 m even with perfect yaw. They must come from
+training folds: the poses of a scene that is scored may check them, never correct them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixo_env.errors import RecordingError
+from mixo_env.recordings.collection import Recordings
+from mixo_env.recordings.schema import VehicleConstants
+
+LEAST_DISTANCE_M = 50.0
+"""A vehicle that drove less in the training scenes gets the constants of all of them together."""
+
+
+def fit_vehicle_constants(training: Recordings, vehicles: Iterable[str]) -> dict[str, VehicleConstants]:
+    """Wheel scale and course offset by vehicle.
+
+    The wheel scale is the true over the recorded distance. The course offset turns the recorded chords, laid along the
+    true mean heading of each step, onto the true ones with the least squared distance. The CAN bus latency is not in
+    the rows: against the poses of real scenes it is 0 within 0.02 s, and stays 0.
+
+    Args:
+        training: recordings of the training folds.
+        vehicles: names wanted; one that hardly drives in ``training`` gets the constants of all vehicles together.
+
+    Raises:
+        RecordingError: the training scenes do not move.
+    """
+    first = np.zeros(len(training["step"]), dtype=np.bool_)
+    first[training.offsets[:-1]] = True
+    rows = np.flatnonzero(~first)
+    motion = np.diff(training["truth.x_m"] + 1j * training["truth.y_m"])[rows - 1]
+    middle = training["truth.yaw_rad"][rows] - 0.5 * training["truth.yaw_increment_rad"][rows]
+    in_car = motion * np.exp(-1j * middle)
+    distance_m = training["distance_m"][rows].astype(np.float64)
+    true_m = training["truth.distance_m"][rows]
+    owner = np.repeat([scene.vehicle for scene in training.scenes], np.diff(training.offsets))[rows]
+
+    everyone = np.ones(len(rows), dtype=np.bool_)
+    if true_m.sum() < LEAST_DISTANCE_M:
+        raise RecordingError(
+            f"the training scenes drive {true_m.sum():.1f} m; vehicle constants need {LEAST_DISTANCE_M:g}: add scenes"
+        )
+
+    def fit(of: NDArray[np.bool_]) -> VehicleConstants:
+        return VehicleConstants(
+            wheel_scale=float(true_m[of].sum() / distance_m[of].sum()),
+            course_offset_rad=float(np.angle(np.sum(distance_m[of] * in_car[of]))),
+        )
+
+    return {
+        name: fit(own if true_m[own := owner == name].sum() >= LEAST_DISTANCE_M else everyone)
+        for name in dict.fromkeys(vehicles)
+    }

@@ -1,0 +1,60 @@
+"""`mixo record` from a nuScenes folder to a recording, with the project's own experts."""
+
+from __future__ import annotations
+
+import cv2
+import numpy as np
+import pytest
+import simplejpeg
+
+from experiments.cli import main
+from mixo_env.experts.expert import State
+from mixo_env.experts.monocular.config import MonocularConfig
+from mixo_env.recordings.store import load_recordings
+from tests.nuscenes_fixture import DRIVES, write_nuscenes
+
+
+@pytest.fixture(scope="module")
+def root(tmp_path_factory):
+    """One second of a turning car and of one without CAN bus; every camera sees a texture that slides to the right."""
+    folder = tmp_path_factory.mktemp("nuscenes")
+    truth = write_nuscenes(folder, (DRIVES[0], DRIVES[3]), duration_s=1.0, images=False)
+    noise = np.random.default_rng(0).integers(0, 256, (60, 120), np.uint8)
+    texture = cv2.resize(noise, (2400, 900), interpolation=cv2.INTER_CUBIC)
+    for scene in truth.values():
+        for camera in scene.cameras.values():
+            for i, name in enumerate(camera.filenames):
+                picture = np.ascontiguousarray(texture[:, 400 - 10 * i : 2000 - 10 * i, None])
+                (folder / name).parent.mkdir(parents=True, exist_ok=True)
+                (folder / name).write_bytes(simplejpeg.encode_jpeg(picture, quality=70, colorspace="GRAY"))
+    return folder
+
+
+def test_a_folder_becomes_a_recording(root, tmp_path, capsys, caplog):
+    assert main(["record", str(root), "--out", str(tmp_path / "run")]) == 0
+    assert "skipped scene-2757: no CAN bus" in caplog.text
+    assert "1 scenes" in capsys.readouterr().out
+    recordings = load_recordings(tmp_path / "run")
+    assert [scene.name for scene in recordings.scenes] == ["scene-2061"]
+    assert recordings.manifest.parameters["skipped"].keys() == {"scene-2757"}
+    assert recordings.manifest.parameters["monocular"]["features"] == MonocularConfig.preset("fast").features
+    truth = recordings["truth.yaw_increment_rad"][1:]
+    np.testing.assert_allclose(recordings["INERTIAL.yaw_increment_rad"][1:], truth, atol=2e-3)
+    np.testing.assert_allclose(recordings["distance_m"][1:], 8.0 * recordings["dt_s"][1:], atol=1e-3)
+    assert recordings["CAM_BACK.state"].tolist().count(State.NO_IMAGE) == 1
+    assert np.all(recordings["CAM_FRONT.matches"][2:] > 50)
+
+
+def test_exit_codes(root, tmp_path, capsys):
+    out = str(tmp_path / "run")
+    assert main(["record", str(root), "--out", out, "--scenes", "scene-2757"]) == 1
+    assert "none of 1 scenes could be recorded" in capsys.readouterr().err
+    assert main(["record", str(root / "nothing"), "--out", out]) == 1
+    assert "is not a folder" in capsys.readouterr().err
+    for wrong in (["--scenes", "scene-9999"], ["--cameras", "CAM_FORNT"], ["--workers", "0"]):
+        assert main(["record", str(root), "--out", out, *wrong]) == 2
+        assert capsys.readouterr().err.count("\n") == 1
+    with pytest.raises(SystemExit) as caught:
+        main(["record", str(root), "--out", out, "--preset", "fasst"])
+    assert caught.value.code == 2
+    assert not (tmp_path / "run" / "recordings.parquet").exists()

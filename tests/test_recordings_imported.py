@@ -1,0 +1,150 @@
+"""Trajectories of other programs as experts."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from experiments.cli import main
+from mixo_env.errors import ConfigurationError, TrajectoryError
+from mixo_env.experts.imported import MAXIMUM_GAP_S, imported_increments
+from mixo_env.fusion import least_squares_weights
+from mixo_env.recordings.fitting import DEFAULT_REWARD_SCALE_RAD, substituted_increments
+from mixo_env.recordings.importing import read_trajectories, with_imported
+from mixo_env.recordings.store import load_recordings, save_recordings
+from mixo_env.trajectory import Trajectory, write_kitti, write_tum
+from tests.synthetic import synthetic_recordings
+
+START_US = 1_600_000_000_000_000
+
+
+def turning(times_s: np.ndarray) -> Trajectory:
+    """Constant yaw rate of 0.3 rad/s through +-pi, at 5 m/s."""
+    yaw = 3.0 + 0.3 * times_s
+    return Trajectory.from_planar(5 * times_s, 0 * times_s, yaw, 1e-6 * START_US + times_s)
+
+
+def as_camera(trajectory: Trajectory, mounting_deg: float = 0.0) -> Trajectory:
+    """The same motion as a camera program sees it: world and body x right, y down, z forward."""
+    axes = np.array([[0.0, 0.0, 1.0, 0.0], [-1.0, 0.0, 0.0, 0.0], [0.0, -1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
+    mounting = Trajectory.from_planar([1.5], [0.4], [np.deg2rad(mounting_deg)]).matrices()[0] @ axes
+    camera = trajectory.matrices() @ mounting
+    return Trajectory.from_matrices(np.linalg.inv(camera[0]) @ camera, trajectory.timestamps_s, camera_axes=True)
+
+
+def test_increments_of_a_steady_turn_are_exact():
+    steps = START_US + np.array([0, 100_000, 150_000, 300_000, 400_000])
+    increments = imported_increments(turning(np.arange(-1, 12) * 0.07), steps)
+    assert np.isnan(increments[0])
+    np.testing.assert_allclose(increments[1:], 0.3 * np.array([0.1, 0.05, 0.15, 0.1]), atol=1e-6)
+
+
+def test_outside_the_trajectory_and_across_gaps_nothing_is_invented():
+    steps = START_US + np.arange(0, 3_000_000, 100_000)
+    times = np.concatenate([np.arange(0.55, 1.2, 0.1), np.arange(2.05, 2.6, 0.1)])
+    assert times[7] - times[6] > MAXIMUM_GAP_S
+    available = np.isfinite(imported_increments(turning(times), steps))
+    # Poses from 0.55 to 1.15 s and from 2.05 to 2.55 s: yaw at 0.6 ... 1.1 and 2.1 ... 2.5 s.
+    np.testing.assert_array_equal(np.flatnonzero(available), [7, 8, 9, 10, 11, 22, 23, 24, 25])
+
+
+def test_a_closing_time_on_the_last_pose_counts():
+    steps = START_US + np.array([0, 100_000, 200_000])
+    exact = turning(np.array([0.0, 0.1, 0.2]))
+    exact = replace(exact, timestamps_s=1e-6 * steps)
+    np.testing.assert_allclose(imported_increments(exact, steps)[1:], 0.03, atol=1e-9)
+
+
+@pytest.mark.parametrize("mounting_deg", [0.0, 55.0, 180.0])
+def test_camera_poses_turn_like_the_car(mounting_deg):
+    steps = START_US + np.arange(0, 1_000_000, 100_000)
+    vehicle = turning(np.arange(-0.1, 1.1, 0.05))
+    expected = imported_increments(vehicle, steps)
+    np.testing.assert_allclose(imported_increments(as_camera(vehicle, mounting_deg), steps), expected, atol=1e-6)
+
+
+def test_times_that_do_not_fit_are_refused():
+    steps = START_US + np.arange(0, 1_000_000, 100_000)
+    with pytest.raises(TrajectoryError, match="no pose lies in the scene"):
+        imported_increments(replace(turning(np.arange(10.0)), timestamps_s=np.arange(10.0)), steps)
+    with pytest.raises(TrajectoryError, match="expected a time for each pose"):
+        imported_increments(replace(turning(np.arange(10.0)), timestamps_s=None), steps)
+
+
+def truth(recordings, scene: str) -> Trajectory:
+    rows = recordings.rows(scene)
+    return Trajectory.from_planar(
+        rows["truth.x_m"], rows["truth.y_m"], rows["truth.yaw_rad"], 1e-6 * rows["timestamp_us"]
+    )
+
+
+def test_a_perfect_expert_gets_all_the_weight():
+    recordings = synthetic_recordings(scenes=4)
+    names = [scene.name for scene in recordings.scenes]
+    extended = with_imported(recordings, "PERFECT", {name: truth(recordings, name) for name in names})
+    assert extended.manifest.imported == ("PERFECT",)
+    assert extended.voters("CONSUMER")[-2:] == ("PERFECT", "INERTIAL_CONSUMER")
+    np.testing.assert_allclose(extended["PERFECT.yaw_increment_rad"], recordings["truth.yaw_increment_rad"], atol=2e-6)
+    weights = extended.manifest.linear_weights["CONSUMER"]["none"]
+    assert weights["PERFECT"] == pytest.approx(1.0, abs=1e-3)
+    assert extended.manifest.reward_scale_rad["PAPER"] == DEFAULT_REWARD_SCALE_RAD
+    votes, target = substituted_increments(extended, "PAPER"), extended["truth.yaw_increment_rad"]
+    used = np.isfinite(target)
+    np.testing.assert_allclose(
+        list(extended.manifest.linear_weights["PAPER"]["none"].values()),
+        least_squares_weights(votes[used], target[used]),
+    )
+
+
+def test_scenes_without_a_trajectory_stay_empty():
+    recordings = synthetic_recordings(scenes=3)
+    extended = with_imported(
+        recordings, "X", {"scene-2002": truth(recordings, "scene-2002"), "scene-1": turning(np.arange(3.0))}
+    )
+    available = [np.isfinite(extended.rows(i)["X.yaw_increment_rad"]).sum() for i in range(3)]
+    assert available == [0, extended.scenes[1].rows - 1, 0]
+
+
+@pytest.mark.parametrize("name", ["CAM_FRONT", "INERTIAL_POSE", "a b", "x.y", ""])
+def test_names_that_cannot_be_used(name):
+    recordings = synthetic_recordings(scenes=1)
+    with pytest.raises(ConfigurationError):
+        with_imported(recordings, name, {"scene-2001": truth(recordings, "scene-2001")})
+
+
+def test_no_scene_at_all_is_an_error():
+    with pytest.raises(TrajectoryError, match="named after scenes like scene-2001, got drive-7"):
+        with_imported(synthetic_recordings(scenes=1), "X", {"drive-7": turning(np.arange(3.0))})
+
+
+@pytest.mark.parametrize("kind", ["tum", "kitti", "camera in tum"])
+def test_mixo_import(tmp_path, capsys, kind):
+    recordings = synthetic_recordings(scenes=2)
+    save_recordings(recordings, tmp_path / "in")
+    (tmp_path / "files").mkdir()
+    for scene in recordings.scenes:
+        path = tmp_path / "files" / f"{scene.name}.txt"
+        trajectory = truth(recordings, scene.name)
+        if kind == "tum":
+            write_tum(path, trajectory)
+        elif kind == "kitti":
+            write_kitti(path, as_camera(trajectory))
+            assert trajectory.timestamps_s is not None
+            np.savetxt(path.with_suffix(".times"), trajectory.timestamps_s, fmt="%.6f")
+        else:
+            write_tum(path, as_camera(trajectory, mounting_deg=55.0))
+    arguments = ["--expert", "OTHER", "--trajectories", str(tmp_path / "files"), "--out", str(tmp_path / "out")]
+    axes = ["--axes", "camera"] if kind == "camera in tum" else []
+    assert main(["import", str(tmp_path / "in"), *arguments, *axes]) == 0
+    assert "OTHER in 2 of 2 scenes, 100.0% of the steps" in capsys.readouterr().out
+    loaded = load_recordings(tmp_path / "out")
+    np.testing.assert_allclose(loaded["OTHER.yaw_increment_rad"], loaded["truth.yaw_increment_rad"], atol=1e-5)
+    assert main(["import", str(tmp_path / "out"), *arguments]) == 2
+    assert "already there" in capsys.readouterr().err
+
+
+def test_folders_that_hold_no_trajectories(tmp_path):
+    with pytest.raises(TrajectoryError):
+        read_trajectories(tmp_path)
