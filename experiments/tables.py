@@ -1,0 +1,102 @@
+"""Tables of results in the forms people paste: plain text, CSV, Markdown, LaTeX."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+Cell = str | int | float | None
+
+
+@dataclass(frozen=True)
+class Column:
+    """A heading, its unit, and how numbers are printed (CSV keeps all digits)."""
+
+    heading: str
+    unit: str = ""
+    spec: str = ""
+
+    def text(self, cell: Cell) -> str:
+        """The cell as printed; a missing value is a dash."""
+        if cell is None or (isinstance(cell, float) and math.isnan(cell)):
+            return "-"
+        return cell if isinstance(cell, str) else format(cell, self.spec)
+
+    @property
+    def title(self) -> str:
+        """Heading with its unit in brackets."""
+        return f"{self.heading} [{self.unit}]" if self.unit else self.heading
+
+
+@dataclass(frozen=True)
+class Table:
+    """A caption that states the convention, columns, and rows of cells."""
+
+    caption: str
+    columns: tuple[Column, ...]
+    rows: Sequence[Sequence[Cell]]
+
+    def text(self) -> str:
+        """Aligned plain text; the first column is a name, the others are numbers."""
+        lines = [[column.title for column in self.columns], *self._printed()]
+        widths = [max(len(line[k]) for line in lines) for k in range(len(self.columns))]
+        aligned = [
+            "  ".join(cell.rjust(width) if k else cell.ljust(width) for k, (cell, width) in enumerate(pairs)).rstrip()
+            for pairs in (list(zip(line, widths, strict=True)) for line in lines)
+        ]
+        return "\n".join([self.caption, aligned[0], "-" * len(aligned[0]), *aligned[1:]]) + "\n"
+
+    def csv(self) -> str:
+        """Comma-separated values with all digits, without the caption; a missing value is empty."""
+        out = io.StringIO()
+        writer = csv.writer(out, lineterminator="\n")
+        writer.writerow([column.title for column in self.columns])
+        for row in self.rows:
+            writer.writerow(["" if isinstance(cell, float) and math.isnan(cell) else cell for cell in row])
+        return out.getvalue()
+
+    def markdown(self) -> str:
+        """A GitHub table under its caption."""
+        heading = "| " + " | ".join(_escape_markdown(column.title) for column in self.columns) + " |"
+        rule = "|" + "|".join("---" if k == 0 else "---:" for k in range(len(self.columns))) + "|"
+        rows = ["| " + " | ".join(map(_escape_markdown, row)) + " |" for row in self._printed()]
+        return "\n".join([self.caption, "", heading, rule, *rows]) + "\n"
+
+    def latex(self) -> str:
+        r"""A ``table`` environment; needs the package ``booktabs``."""
+        heading = " & ".join(_escape_latex(column.title) for column in self.columns)
+        rows = [" & ".join(map(_escape_latex, row)) + r" \\" for row in self._printed()]
+        return (
+            "\n".join(
+                [
+                    r"\begin{table}",
+                    r"  \centering",
+                    rf"  \caption{{{_escape_latex(self.caption)}}}",
+                    rf"  \begin{{tabular}}{{l{'r' * (len(self.columns) - 1)}}}",
+                    r"    \toprule",
+                    rf"    {heading} \\",
+                    r"    \midrule",
+                    *(f"    {row}" for row in rows),
+                    r"    \bottomrule",
+                    r"  \end{tabular}",
+                    r"\end{table}",
+                ]
+            )
+            + "\n"
+        )
+
+    def _printed(self) -> list[list[str]]:
+        return [[column.text(cell) for column, cell in zip(self.columns, row, strict=True)] for row in self.rows]
+
+
+def _escape_markdown(text: str) -> str:
+    return text.replace("|", r"\|")
+
+
+def _escape_latex(text: str) -> str:
+    special = {"\\": r"\textbackslash{}", "~": r"\textasciitilde{}", "^": r"\textasciicircum{}"}
+    special |= {character: f"\\{character}" for character in "&%$#_{}"}
+    return "".join(special.get(character, character) for character in text)

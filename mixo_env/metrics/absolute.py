@@ -1,0 +1,87 @@
+"""Absolute trajectory error (ATE): how far each pose is from the truth (docs/metrics.md, "ATE")."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+
+import numpy as np
+
+from mixo_env.geometry import FloatArray, angle_between_quaternions_rad, wrap_angle_rad
+from mixo_env.metrics.aggregate import scene_rmse
+from mixo_env.metrics.alignment import align
+from mixo_env.metrics.pairs import IntArray, scene_offsets
+from mixo_env.trajectory import Trajectory
+
+
+@dataclass(frozen=True)
+class AbsoluteErrors:
+    """Errors ``(N,)`` of N poses: |p_i - (s R q_i + t)| and the angle of R Q_i R_i^T."""
+
+    translation_m: FloatArray
+    rotation_deg: FloatArray
+
+
+@dataclass(frozen=True)
+class SceneAbsolute:
+    """RMSE of each scene ``(scenes,)``: the ATE."""
+
+    translation_m: FloatArray
+    rotation_deg: FloatArray
+
+
+def absolute_errors(truth: Trajectory, estimate: Trajectory) -> AbsoluteErrors:
+    """Errors of matched SE(3) trajectories as they stand: apply an alignment to the estimate first if you want one."""
+    translation_m = np.sqrt(np.sum((truth.positions_m - estimate.positions_m) ** 2, axis=1))
+    rotation_rad = angle_between_quaternions_rad(truth.quaternions_wxyz, estimate.quaternions_wxyz)
+    return AbsoluteErrors(translation_m, np.rad2deg(rotation_rad))
+
+
+def absolute_errors_se2(
+    truth_x_m: FloatArray,
+    truth_y_m: FloatArray,
+    truth_yaw_rad: FloatArray,
+    x_m: FloatArray,
+    y_m: FloatArray,
+    yaw_rad: FloatArray,
+) -> AbsoluteErrors:
+    """The same for planar poses ``(N,)`` each, without alignment: the fast path for recordings."""
+    translation_m = np.hypot(truth_x_m - x_m, truth_y_m - y_m)
+    return AbsoluteErrors(translation_m, np.rad2deg(np.abs(wrap_angle_rad(truth_yaw_rad - yaw_rad))))
+
+
+def scene_absolute(errors: AbsoluteErrors, offsets: IntArray | None = None) -> SceneAbsolute:
+    """ATE per scene: the RMSE over its poses.
+
+    Args:
+        errors: of all poses, scene after scene.
+        offsets: ``(scenes + 1,)`` first row of each scene and the end; ``None``: one scene.
+    """
+    offsets = scene_offsets(len(errors.translation_m), offsets)
+    return SceneAbsolute(scene_rmse(errors.translation_m, offsets), scene_rmse(errors.rotation_deg, offsets))
+
+
+def scene_aligned_ate_se2(
+    truth_x_m: FloatArray,
+    truth_y_m: FloatArray,
+    x_m: FloatArray,
+    y_m: FloatArray,
+    offsets: IntArray,
+    method: str = "sim3",
+) -> FloatArray:
+    """Translation ATE ``(scenes,)`` [m] after aligning each scene on all its poses.
+
+    No rotation: nearly straight scenes make the rotation after se3 or sim3 meaningless. A scene whose estimate does
+    not move has no scale, so sim3 falls back to se3 there.
+    """
+    ate_m = np.full(len(offsets) - 1, np.nan)
+    yaw = np.zeros(len(truth_x_m))
+    for scene, (first, stop) in enumerate(itertools.pairwise(offsets)):
+        rows = slice(first, stop)
+        truth = Trajectory.from_planar(truth_x_m[rows], truth_y_m[rows], yaw[rows])
+        estimate = Trajectory.from_planar(x_m[rows], y_m[rows], yaw[rows])
+        moves = bool(np.ptp(x_m[rows]) or np.ptp(y_m[rows]))
+        chosen = "se3" if method == "sim3" and not moves else method
+        aligned = align(truth, estimate, chosen).apply(estimate)
+        ate_m[scene] = np.sqrt(np.mean(np.sum((truth.positions_m - aligned.positions_m) ** 2, axis=1)))
+    return ate_m
