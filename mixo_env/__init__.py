@@ -1,7 +1,19 @@
-"""MixoOdometry: a Gymnasium benchmark of mixture-of-experts visual odometry for multi-camera cars."""
+"""MixoOdometry: a Gymnasium benchmark of mixture-of-experts visual odometry for multi-camera cars.
+
+Importing the package registers the environments, so that ``gymnasium.make("mixo_env:MixoOdometry-v0")`` finds them.
+"""
 
 from __future__ import annotations
 
 from importlib.metadata import version
 
+import gymnasium
+
 __version__ = version("mixo-env")
+
+ENVIRONMENTS = {"MixoOdometry-v0": "mixo_env.envs.odometry:MixoOdometry"}
+"""Id -> module and name of its two classes, less their endings ``Env`` and ``VectorEnv``."""
+
+for _id, _entry_point in ENVIRONMENTS.items():
+    if _id not in gymnasium.registry:
+        gymnasium.register(_id, entry_point=f"{_entry_point}Env", vector_entry_point=f"{_entry_point}VectorEnv")

@@ -1,0 +1,203 @@
+"""The fusion core: recorded experts replayed over a batch of scenes in lockstep, eqs. 3, 4 and 1 step by step.
+
+Everything that scores or trains a policy goes through :class:`Replay`: the evaluation of policies uses it directly, the
+Gymnasium environments dress it. Sums stay in float64, and a weight of one on a single expert reproduces that expert bit
+for bit.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import ClassVar, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mixo_env.envs.observation import RICH, TRUTH, Layout, Quantity, tabulate
+from mixo_env.envs.stepping import SCENE, SCORES, STATE, advance, look, restart, tally
+from mixo_env.envs.tables import choose_experts, collect_votes, step_rows, tabulate_steps
+from mixo_env.errors import ConfigurationError, unknown
+from mixo_env.fusion import dead_reckon
+from mixo_env.recordings.collection import Recordings
+from mixo_env.recordings.schema import VehicleConstants
+
+Previous = Literal["fused", "inertial", "truth"]
+Lost = Literal["inertial", "mask"]
+
+FloatArray = NDArray[np.float64]
+
+
+class Replay:
+    """Scenes of a recording, played in lockstep by final weights.
+
+    Attributes:
+        recordings: what is replayed; scene indices refer to it.
+        experts: the voters, in the order of the weights.
+        cameras: those of them that are cameras.
+        layout: of the flat observation.
+        state: ``(batch,)`` STATE after :meth:`reset`; read only.
+        delivers: ``(batch, experts)`` bool; False silences an expert at the coming step whatever it recorded.
+    """
+
+    camera_increments: ClassVar[str] = "yaw_increment_rad"
+    """The camera column that votes."""
+
+    def __init__(
+        self,
+        recordings: Recordings,
+        *,
+        track: str,
+        experts: Sequence[str] | None = None,
+        previous: Previous = "fused",
+        lost: Lost = "inertial",
+        privileged: bool = False,
+        quantities: tuple[Quantity, ...] = RICH,
+    ) -> None:
+        """Build the tables; the recordings are not copied and not changed.
+
+        Args:
+            recordings: any number of scenes.
+            track: ``"PAPER"``, ``"VISION"`` or ``"CONSUMER"``: who votes, and which inertial expert substitutes.
+            experts: who votes, in the order of the weights (default: the track's voters).
+            previous: source of the observed previous yaw rate; ``"truth"`` is privileged.
+            lost: a lost expert votes with the inertial increment, or does not vote.
+            privileged: add ``truth_yaw_rate`` to the observation.
+            quantities: what is observed, in order; the first must be the previous yaw rate.
+
+        Raises:
+            ConfigurationError: for an unknown option value.
+            RecordingError: when a step has no duration or no distance.
+        """
+        for kind, value, valid in (
+            ("previous", previous, ("fused", "inertial", "truth")),
+            ("lost", lost, ("inertial", "mask")),
+        ):
+            if value not in valid:
+                raise ConfigurationError(unknown(f"{kind} option", value, valid))
+        self.recordings = recordings
+        self.experts = choose_experts(recordings, track, experts)
+        self.cameras = tuple(expert for expert in self.experts if expert in recordings.manifest.cameras)
+        observed = (*quantities, TRUTH) if privileged else quantities
+        self.layout = Layout(observed, len(self.cameras), len(self.experts))
+        self.state = np.zeros(0, STATE)
+
+        offsets = recordings.offsets
+        self._steps = step_rows(recordings)
+        self.starts = np.zeros(len(recordings), SCENE)
+        self.starts["first"] = offsets[:-1] - np.arange(len(recordings))  # row 0 of each scene is no step
+        self.starts["stop"] = offsets[1:] - np.arange(1, len(recordings) + 1)
+        self._start = np.stack([recordings[f"truth.{c}"][offsets[:-1]] for c in ("x_m", "y_m", "yaw_rad")], axis=-1)
+        self.votes = collect_votes(recordings, self._steps, self.experts, self.cameras, track, self.camera_increments)
+        self.table = tabulate_steps(recordings, self._steps, self._start, self.votes.substitute_rad)
+        self.mask = lost == "mask"
+        lost_votes = np.nan if self.mask else self.votes.substitute_rad[:, None]
+        self.increments = np.where(self.votes.available, self.votes.increments_rad, lost_votes)
+        self.rate_limit = float(self.layout.high[0])
+        self.fused = previous == "fused"
+        previous_rate = self._previous_yaw_rate(previous)
+        self.context = tabulate(
+            self.layout, recordings, self._steps, self.votes, self.experts, self.cameras, previous_rate
+        )
+        vehicles = [recordings.manifest.vehicles.get(scene.vehicle, VehicleConstants()) for scene in recordings.scenes]
+        self._course_offset = np.array([vehicle.course_offset_rad for vehicle in vehicles])
+        self.starts["course_rad"] = self._start[:, 2] + self._course_offset
+        self.starts["previous_yaw_rate"] = previous_rate[self.starts["first"]]
+        self.delivers = np.ones((0, len(self.experts)), dtype=np.bool_)
+        self.history = np.zeros((0, 0))
+
+    def __len__(self) -> int:
+        """Number of scenes."""
+        return len(self.starts)
+
+    @property
+    def batch(self) -> int:
+        """Scenes played at once."""
+        return len(self.state)
+
+    @property
+    def done(self) -> NDArray[np.bool_]:
+        """``(batch,)``: the scene has ended."""
+        return self.state["done"]
+
+    @property
+    def steps(self) -> NDArray[np.int64]:
+        """``(scenes,)`` number of steps of each scene."""
+        return self.starts["stop"] - self.starts["first"]
+
+    def reset(self, scenes: ArrayLike) -> None:
+        """Start ``(batch,)`` scenes, given by their index in the recordings."""
+        chosen = np.asarray(scenes, dtype=np.int64)
+        if self.batch != len(chosen):
+            self.state = np.zeros(len(chosen), STATE)
+            self.delivers = np.ones((len(chosen), len(self.experts)), dtype=np.bool_)
+            self.history = np.zeros((len(chosen), int(self.steps.max())))
+        self.restart(np.arange(len(chosen)), chosen)
+
+    def restart(self, which: NDArray[np.int64], scenes: NDArray[np.int64], *, pause: bool = False) -> None:
+        """Start ``scenes`` in the batch entries ``which`` and leave the others where they are.
+
+        With ``pause`` the restarted entries sit out the coming step (Gymnasium's NEXT_STEP autoreset).
+        """
+        restart(self.state, which, scenes, self.starts, pause)
+
+    def observe(self) -> dict[str, NDArray[np.float32]]:
+        """What a policy sees before the next step: name -> ``(batch, width)``; after the end the last step again."""
+        return self.layout.split(self.observe_flat())
+
+    def observe_flat(self) -> NDArray[np.float32]:
+        """The same as one fresh array ``(batch, layout.width)``."""
+        out = np.empty((self.batch, self.layout.width), np.float32)
+        look(out, self.state, self.context, self.fused, self.rate_limit)
+        return out
+
+    def step(self, weights: FloatArray, *, shares: bool = False) -> None:
+        """Mix, integrate and go on by one step wherever a scene has not ended.
+
+        Args:
+            weights: ``(batch, experts)`` float64, used as they are.
+            shares: instead, numbers >= 0 that are normalised over the experts that vote.
+        """
+        advance(
+            np.ascontiguousarray(weights, dtype=np.float64),
+            shares,
+            self.mask,
+            self.state,
+            self.delivers,
+            self.increments,
+            self.table,
+            self.history,
+        )
+
+    def scores(self) -> dict[str, FloatArray]:
+        """Scores ``(batch,)`` of the scenes that have ended (0 for the others), named by SCORES."""
+        values = np.empty((len(SCORES), self.batch))
+        tally(self.state, values)
+        return dict(zip(SCORES, values, strict=True))
+
+    def trajectory(self, entry: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Fused x [m], y [m], yaw [rad, unwrapped] ``(steps so far + 1,)`` of one batch entry, map frame."""
+        scene, done = int(self.state[entry]["scene"]), int(self.state[entry]["step"])
+        first = int(self.starts[scene]["first"])
+        x, y, yaw = (float(value) for value in self._start[scene])
+        return dead_reckon(
+            self.history[entry, :done],
+            self.table["distance_m"][first : first + done],
+            start=(x, y, yaw),
+            course_offset_rad=float(self._course_offset[scene]),
+        )
+
+    def true_trajectory(self, scene: int) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """True x [m], y [m], yaw [rad, unwrapped] ``(steps + 1,)`` of a scene, map frame."""
+        rows = self.recordings.rows(scene)
+        return rows["truth.x_m"], rows["truth.y_m"], rows["truth.yaw_rad"]
+
+    def _previous_yaw_rate(self, previous: Previous) -> FloatArray:
+        """Recorded previous yaw rate ``(rows,)`` [rad/s].
+
+        Before the first step of a scene there is no previous one: the inertial rate of that first step stands in.
+        """
+        source = self.table["truth_rad" if previous == "truth" else "substitute_rad"] / self.table["dt_s"]
+        rate = np.concatenate([[0.0], source[:-1]])
+        first = self.starts["first"]
+        rate[first] = self.table["substitute_rad"][first] / self.table["dt_s"][first]
+        return rate

@@ -1,0 +1,153 @@
+"""What the single and the batched environment share: all of it but the shape of what they return."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from mixo_env.envs.actions import ActionRule
+from mixo_env.envs.observation import PAPER, RICH
+from mixo_env.envs.replay import Replay
+from mixo_env.envs.reward import Reward
+from mixo_env.envs.settings import Settings
+from mixo_env.envs.stepping import RULES, play
+from mixo_env.errors import ConfigurationError, RecordingError, unknown
+from mixo_env.recordings.collection import Recordings
+
+Observation = NDArray[np.float32] | dict[str, NDArray[np.float32]]
+
+RESET_OPTIONS = ("scene", "reset_mask")
+
+
+class Session:
+    """A batch of scenes being played under one set of options.
+
+    Attributes:
+        settings: the options.
+        recordings: the scenes that can be played.
+        replay: the fusion core.
+        rule: actions -> weights.
+        reward: errors -> reward terms.
+        observation_space: of one environment.
+    """
+
+    def __init__(self, settings: Settings, batch: int) -> None:
+        """Open the recordings and build the core for ``batch`` environments."""
+        self.settings = settings
+        self.recordings, training = settings.open()
+        self.replay = self._build_replay(self.recordings)
+        if len(self.replay.experts) < 2:
+            raise ConfigurationError(
+                f"experts: expected two or more, got {self.replay.experts}: there is nothing to mix"
+            )
+        if not np.isfinite(self.replay.table["truth_rad"]).all():
+            raise RecordingError("these recordings lack ground truth in some steps: an environment needs it to reward")
+        self.rule = ActionRule(settings.weights, len(self.replay.experts), settings.raw_scale, self._switches())
+        self.reward = Reward(settings.reward, self.replay, settings.track, training)
+        layout = self.replay.layout
+        self._named_parts = settings.observation == "dict"
+        self.observation_space: spaces.Space[Any] = layout.dict() if self._named_parts else layout.box()
+        self._names = np.array([scene.name for scene in self.recordings.scenes], dtype=object)
+        self._next = 0
+        self.replay.reset(np.zeros(batch, np.int64))
+        self._game = self._compiled_arguments()
+        self._report_shape = len(self.reward.report), batch
+        self._flat_shape = batch, layout.width
+
+    def rewind(self) -> None:
+        """Let ``order="fixed"`` begin again with the first scene."""
+        self._next = 0
+
+    def begin(
+        self,
+        which: NDArray[np.intp],
+        rng: np.random.Generator,
+        options: dict[str, Any] | None = None,
+        *,
+        pause: bool = False,
+    ) -> None:
+        """Start scenes in the batch entries ``which``: those named in ``options``, else the next by ``order``.
+
+        With ``pause`` they sit out the coming step.
+        """
+        for option in options or ():
+            if option not in RESET_OPTIONS:
+                raise ConfigurationError(unknown("reset option", option, RESET_OPTIONS))
+        asked = (options or {}).get("scene")
+        if asked is not None:
+            scenes = self._named(asked, len(which))
+        elif self.settings.order == "fixed":
+            scenes = (self._next + np.arange(len(which))) % len(self.recordings)
+            self._next = int(self._next + len(which)) % len(self.recordings)
+        else:
+            scenes = rng.integers(len(self.recordings), size=len(which))
+        self.replay.restart(which, scenes, pause=pause)
+
+    def play(self, actions: NDArray[np.float32]) -> tuple[Observation, NDArray[np.float64], int]:
+        """One step of every scene that has not ended and is not paused.
+
+        Args:
+            actions: ``(batch, width)`` as :meth:`ActionRule.read` returns them.
+
+        Returns:
+            The next observation; the report ``(rows, batch)``, rows named by ``Reward.report``; how many scenes have
+            ended.
+
+        Raises:
+            ConfigurationError: for NaN and for numbers out of range; nothing has changed then.
+        """
+        report = np.empty(self._report_shape)
+        flat = np.empty(self._flat_shape, np.float32)
+        ended = play(actions, report, flat, *self._game)
+        if ended < 0:
+            self.rule.complain(actions)
+        return (self.replay.layout.split(flat) if self._named_parts else flat), report, ended
+
+    def observe(self) -> Observation:
+        """The batch's observation: ``(batch, width)``, or name -> ``(batch, width)``."""
+        return self.replay.observe() if self._named_parts else self.replay.observe_flat()
+
+    def scene_names(self, mask: NDArray[np.bool_]) -> NDArray[Any]:
+        """Names ``(batch,)`` of the scenes being played where ``mask`` is True, None elsewhere."""
+        names = np.full(len(mask), None, dtype=object)
+        which = np.flatnonzero(mask)
+        names[which] = self._names[self.replay.state["scene"][which]]
+        return names
+
+    def _build_replay(self, recordings: Recordings) -> Replay:
+        s = self.settings
+        return Replay(
+            recordings,
+            track=s.track,
+            experts=s.experts,
+            previous=s.previous,
+            lost=s.lost,
+            privileged=s.privileged,
+            quantities=PAPER if s.observation in ("paper", "pixels") else RICH,
+        )
+
+    def _compiled_arguments(self) -> tuple[NDArray[Any], ...]:
+        """What :func:`~mixo_env.envs.stepping.play` takes besides the arrays that are fresh in every step."""
+        replay, rule, reward = self.replay, self.rule, self.reward
+        rules = np.zeros(1, RULES)
+        rules[0] = (
+            *(rule.scale, rule.exponential, rule.shares),
+            *(replay.mask, replay.fused, replay.rate_limit),
+            *(reward.code, reward.scale_rad),
+        )
+        return rules, replay.state, replay.delivers, replay.increments, replay.table, replay.history, replay.context
+
+    def _switches(self) -> int:
+        return 0
+
+    def _named(self, asked: str | Sequence[str], count: int) -> NDArray[np.int64]:
+        names = [asked] * count if isinstance(asked, str) else list(asked)
+        if len(names) != count:
+            raise ConfigurationError(
+                f"scene: expected one name or {count}, got {len(names)}: one per environment reset"
+            )
+        return np.array([self.recordings.index(name) for name in names], dtype=np.int64)

@@ -1,0 +1,97 @@
+"""The options of the environments: one frozen dataclass, checked once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any, Literal
+
+from mixo_env.envs.actions import Weighting
+from mixo_env.envs.faults import Fault, inject, read_faults
+from mixo_env.envs.replay import Lost, Previous
+from mixo_env.envs.reward import RewardName
+from mixo_env.errors import ConfigurationError, unknown
+from mixo_env.recordings.collection import Recordings
+from mixo_env.recordings.schema import SPLITS, TRACKS
+
+ObservationName = Literal["paper", "rich", "dict", "pixels"]
+Order = Literal["random", "fixed"]
+
+CHOICES = {
+    "track": tuple(TRACKS),
+    "split": tuple(SPLITS),
+    "observation": ("paper", "rich", "dict", "pixels"),
+    "order": ("random", "fixed"),
+}
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Everything an environment can be asked for; the environments' docstrings explain each."""
+
+    recordings: Recordings | str | Path | None = None
+    track: str = "CONSUMER"
+    split: str = "train"
+    fold: int = 3
+    conditions: Sequence[str] | None = None
+    experts: Sequence[str] | None = None
+    observation: ObservationName = "paper"
+    privileged: bool = False
+    weights: Weighting = "softmax"
+    raw_scale: float = 4.0
+    previous: Previous = "fused"
+    lost: Lost = "inertial"
+    reward: RewardName = "squared"
+    order: Order = "random"
+    faults: Sequence[Fault | dict[str, Any]] = ()
+    dataroot: str | Path | None = None
+
+    def __post_init__(self) -> None:
+        for option, valid in CHOICES.items():
+            if getattr(self, option) not in valid:
+                raise ConfigurationError(unknown(f"{option} option", getattr(self, option), valid))
+        for option in ("conditions", "experts", "faults"):
+            if isinstance(getattr(self, option), str):
+                raise ConfigurationError(
+                    f"{option}: expected a list, got {getattr(self, option)!r}: put it in brackets"
+                )
+        if self.observation == "pixels" and self.dataroot is None:
+            raise ConfigurationError(
+                "observation='pixels' needs the images: give dataroot=, the nuScenes folder recorded"
+            )
+
+    @classmethod
+    def read(cls, options: dict[str, Any]) -> Settings:
+        """Settings from keyword arguments; an unknown one is an error that names the nearest."""
+        names = [field.name for field in fields(cls)]
+        for name in options:
+            if name not in names:
+                raise ConfigurationError(unknown("option", name, names))
+        return cls(**options)
+
+    def open(self) -> tuple[Recordings, Recordings]:
+        """The scenes to play and the scenes a reference may be fitted on, both with the faults asked for.
+
+        The held-out ``fold`` is never fitted on, except where the recordings hold nothing else.
+
+        Raises:
+            ConfigurationError: for unknown names, or when no scene is left.
+            RecordingError: when the recordings cannot be read.
+        """
+        if isinstance(self.recordings, Recordings):
+            recordings = self.recordings
+        else:
+            from mixo_env.recordings.store import load_recordings
+
+            recordings = load_recordings(self.recordings)
+        present = sorted({scene.fold for scene in recordings.scenes})
+        others = [fold for fold in present if fold >= 0 and fold != self.fold]
+        folds = {"train": others, "test": [self.fold], "all": [f for f in present if f >= 0], "ood": [-1]}[self.split]
+        if self.split != "ood" and self.fold not in SPLITS["all"]:
+            raise ConfigurationError(
+                f"fold: expected one of {SPLITS['all']}, got {self.fold!r}: it is the one held out"
+            )
+        faults = read_faults(self.faults)
+        played = inject(recordings.select(folds=folds, conditions=self.conditions), faults)
+        return played, inject(recordings.select(folds=others), faults) if others else played
