@@ -19,6 +19,7 @@ def commands() -> dict[str, type]:
     """Subcommand name -> dataclass. Importing them must stay cheap: `mixo --help` is instant."""
     from experiments.commands.benchmark import Benchmark
     from experiments.commands.evaluate import Evaluate
+    from experiments.commands.import_ import Import
     from experiments.commands.inspect import Inspect
     from experiments.commands.record import Record
     from experiments.commands.simulate import Simulate
@@ -28,6 +29,7 @@ def commands() -> dict[str, type]:
         "simulate": Simulate,
         "inspect": Inspect,
         "record": Record,
+        "import": Import,
         "evaluate": Evaluate,
     }
 
@@ -41,13 +43,13 @@ def main(argv: list[str] | None = None) -> int:
     arguments = sys.argv[1:] if argv is None else argv
     verbose = "-v" in arguments
     logging.basicConfig(format="%(message)s", level=logging.INFO if verbose else logging.WARNING)
-    command: Command = tyro.extras.subcommand_cli_from_dict(
-        commands(),
-        prog="mixo",
-        description=__doc__,
-        args=[argument for argument in arguments if argument != "-v"],
-    )
     try:
+        command: Command = tyro.extras.subcommand_cli_from_dict(
+            commands(),
+            prog="mixo",
+            description=__doc__,
+            args=[argument for argument in arguments if argument != "-v"],
+        )
         return command.run()
     except ConfigurationError as error:
         print(f"mixo: {error}", file=sys.stderr)

@@ -1,0 +1,57 @@
+"""Every policy by the name printed in tables."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from baselines import storage
+from baselines.gate import Mixo
+from baselines.linear import Linear
+from baselines.match import HighestMatch
+from baselines.oracle import MulticameraGT, OracleAll, OracleHull
+from baselines.policy import Policy
+from baselines.reinforcement import PPO
+from baselines.robust import Huber, Mean, Median
+from baselines.single import Single
+from mixo_env.errors import ConfigurationError, PolicyError, unknown
+from mixo_env.recordings.collection import Recordings
+
+POLICIES: dict[str, type[Policy]] = {
+    policy.name: policy
+    for policy in (HighestMatch, Mean, Median, Linear, Huber, Mixo, PPO, MulticameraGT, OracleAll, OracleHull)
+}
+"""Name -> class, in the order of the tables; every expert alone (:class:`Single`) comes before them."""
+
+
+def names(recordings: Recordings) -> tuple[str, ...]:
+    """All policies that can be scored on ``recordings``, in the order of the tables."""
+    manifest = recordings.manifest
+    return (*manifest.inertial, *manifest.imported, *manifest.cameras, *POLICIES)
+
+
+def create(name: str, recordings: Recordings) -> Policy:
+    """A new, unfitted policy.
+
+    Raises:
+        ConfigurationError: for an unknown name.
+    """
+    if name in POLICIES:
+        return POLICIES[name]()
+    if name in recordings.experts:
+        return Single(name)
+    raise ConfigurationError(unknown("policy", name, names(recordings)))
+
+
+def load(folder: Path) -> Policy:
+    """Any saved policy, by the name in its file.
+
+    Raises:
+        PolicyError: when the file is missing or broken, or names no policy known here.
+    """
+    description, _ = storage.read(folder)
+    name = description.get("policy")
+    if name in POLICIES:
+        return POLICIES[name].load(folder)
+    if description.get("settings") == {"expert": name}:
+        return Single.load(folder)
+    raise PolicyError(f"{folder}: {unknown('policy', name, POLICIES)}")

@@ -1,0 +1,48 @@
+"""One file per saved policy: tensors and their description in a safetensors file, never pickled code."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixo_env.errors import PolicyError
+
+FILE = "policy.safetensors"
+DESCRIPTION = "mixo"
+"""The only metadata key, holding sorted JSON: with several keys the bytes of a safetensors file change between runs."""
+
+
+def write(folder: Path, description: Mapping[str, Any], tensors: Mapping[str, NDArray[Any]]) -> None:
+    """Write ``folder/policy.safetensors`` atomically; equal input gives equal bytes."""
+    from safetensors.numpy import save
+
+    metadata = {DESCRIPTION: json.dumps(description, sort_keys=True)}
+    data = save({name: np.ascontiguousarray(value) for name, value in tensors.items()}, metadata=metadata)
+    folder.mkdir(parents=True, exist_ok=True)
+    part = folder / f"{FILE}.part"
+    part.write_bytes(data)
+    part.replace(folder / FILE)
+
+
+def read(folder: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+    """Description and tensors of a saved policy.
+
+    Raises:
+        PolicyError: when the file is missing, broken or not written by :func:`write`.
+    """
+    from safetensors import SafetensorError, safe_open
+
+    path = folder / FILE
+    if not path.is_file():
+        raise PolicyError(f"expected a saved policy at {path}, found none: save one there first")
+    try:
+        with safe_open(path, framework="numpy") as file:
+            description = json.loads(file.metadata()[DESCRIPTION])
+            return description, {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
+    except (SafetensorError, OSError, TypeError, KeyError, ValueError) as error:
+        raise PolicyError(f"{path} is not a saved policy ({error}): save it anew") from None

@@ -1,0 +1,162 @@
+"""Every registered policy keeps the protocol's promises."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from baselines import registry
+from baselines.gate import Mixo
+from baselines.playing import play
+from baselines.policy import Policy
+from baselines.reinforcement import PPO
+from baselines.single import Single
+from mixo_env.envs.replay import Replay
+from mixo_env.errors import ConfigurationError, PolicyError
+from mixo_env.recordings.collection import Recordings
+from tests.synthetic import synthetic_recordings
+
+NAMES = registry.names(synthetic_recordings(scenes=1))
+TRACK = "CONSUMER"
+
+
+@pytest.fixture(scope="module")
+def training() -> Recordings:
+    return synthetic_recordings(0)
+
+
+@pytest.fixture(scope="module")
+def unseen() -> Recordings:
+    return synthetic_recordings(1, scenes=3)
+
+
+SHORT = {Mixo.name: {"epochs": 1, "min_updates": 30}, PPO.name: {"steps": 1024, "environments": 8, "batch": 256}}
+"""Settings that make the trained policies quick; what they learn does not matter here."""
+
+
+def fitted(name: str, training: Recordings, seed: int = 0) -> Policy:
+    policy = registry.POLICIES[name](**SHORT[name]) if name in SHORT else registry.create(name, training)
+    policy.fit(training, TRACK, seed=seed)
+    return policy
+
+
+@pytest.fixture(scope="module", params=NAMES)
+def policy(request: pytest.FixtureRequest, training: Recordings) -> Policy:
+    return fitted(request.param, training)
+
+
+def all_weights(policy: Policy, recordings: Recordings) -> np.ndarray:
+    replay = Replay(recordings, track=TRACK, experts=policy.experts, privileged=policy.privileged)
+    return np.stack([policy.act(observation) for _, observation in play(policy, replay)])
+
+
+def test_weights_have_one_finite_number_per_scene_and_expert(policy: Policy, unseen: Recordings) -> None:
+    weights = all_weights(policy, unseen)
+    assert weights.shape[1:] == (len(unseen), len(policy.experts))
+    assert weights.dtype == np.float64
+    assert np.isfinite(weights).all()
+    if policy.name != "LINEAR":
+        np.testing.assert_allclose(weights.sum(axis=-1), 1.0, atol=1e-12)
+        assert (weights >= 0.0).all()
+
+
+def test_experts_are_the_voters_and_at_most_the_single_one_besides(policy: Policy, unseen: Recordings) -> None:
+    voters = unseen.voters(TRACK)
+    assert policy.experts[: len(voters)] == voters
+    assert policy.experts[len(voters) :] == ((policy.name,) if policy.name not in (*voters, *registry.POLICIES) else ())
+    policy.check(unseen, TRACK)
+
+
+def test_same_seed_same_weights(policy: Policy, training: Recordings, unseen: Recordings) -> None:
+    np.testing.assert_array_equal(
+        all_weights(policy, unseen), all_weights(fitted(policy.name, training), unseen), strict=True
+    )
+
+
+def test_fitting_leaves_the_global_generator_of_torch_alone(policy: Policy, training: Recordings) -> None:
+    import torch
+
+    torch.manual_seed(7)
+    before = torch.random.get_rng_state()
+    fitted(policy.name, training)
+    assert torch.equal(torch.random.get_rng_state(), before)
+
+
+def test_saved_policy_acts_the_same_after_loading(policy: Policy, unseen: Recordings, tmp_path: Path) -> None:
+    policy.save(tmp_path / "a")
+    again = registry.load(tmp_path / "a")
+    assert type(again) is type(policy)
+    assert (again.name, again.experts, again.settings()) == (policy.name, policy.experts, policy.settings())
+    np.testing.assert_array_equal(all_weights(again, unseen), all_weights(policy, unseen), strict=True)
+    again.save(tmp_path / "b")
+    assert (tmp_path / "a/policy.safetensors").read_bytes() == (tmp_path / "b/policy.safetensors").read_bytes()
+
+
+def test_only_privileged_policies_read_the_truth(policy: Policy, unseen: Recordings) -> None:
+    replay = Replay(unseen, track=TRACK, experts=policy.experts)
+    replay.reset(np.arange(len(unseen)))
+    observation = replay.observe()
+    assert "truth_yaw_rate" not in observation
+    if policy.privileged:
+        assert "GT" in policy.name or "ORACLE" in policy.name
+        with pytest.raises(KeyError, match="truth_yaw_rate"):
+            policy.act(observation)
+    else:
+        policy.act(observation)
+
+
+def test_only_learners_change_with_the_training_scenes(policy: Policy, unseen: Recordings) -> None:
+    other = fitted(policy.name, synthetic_recordings(9, scenes=4))
+    same = np.array_equal(all_weights(policy, unseen), all_weights(other, unseen))
+    assert same is not policy.learns
+
+
+def test_policy_refuses_other_voters(policy: Policy, unseen: Recordings) -> None:
+    with pytest.raises(PolicyError, match=r"was fitted for .* in this order"):
+        policy.check(unseen, "PAPER")
+
+
+def test_weights_saved_for_another_order_of_experts_are_refused(
+    policy: Policy, unseen: Recordings, tmp_path: Path
+) -> None:
+    policy.experts = policy.experts[::-1]
+    try:
+        policy.save(tmp_path)
+    finally:
+        policy.experts = policy.experts[::-1]
+    with pytest.raises(PolicyError, match=r"was fitted for .* in this order"):
+        registry.load(tmp_path).check(unseen, TRACK)
+
+
+def test_unfitted_policy_is_refused(unseen: Recordings) -> None:
+    with pytest.raises(PolicyError, match="nothing yet"):
+        Single("CAM_FRONT").check(unseen, TRACK)
+
+
+def test_unknown_name_suggests_the_nearest(training: Recordings) -> None:
+    with pytest.raises(ConfigurationError, match=r"unknown policy 'LINAER': did you mean 'LINEAR'\?"):
+        registry.create("LINAER", training)
+
+
+def test_loading_refuses_what_is_missing_broken_or_another_policy(training: Recordings, tmp_path: Path) -> None:
+    with pytest.raises(PolicyError, match="found none"):
+        registry.load(tmp_path)
+    file = tmp_path / "policy.safetensors"
+    file.write_bytes(b"not a policy")
+    with pytest.raises(PolicyError, match="is not a saved policy"):
+        registry.load(tmp_path)
+    fitted("LINEAR", training).save(tmp_path)
+    with pytest.raises(PolicyError, match=r"expected HUBER in .*, got LINEAR"):
+        registry.POLICIES["HUBER"].load(tmp_path)
+    file.write_bytes(file.read_bytes()[:-5])
+    with pytest.raises(PolicyError, match="is not a saved policy"):
+        registry.load(tmp_path)
+
+
+def test_importing_the_registry_is_light() -> None:
+    code = "import sys, baselines.registry; print([m for m in ('torch', 'stable_baselines3') if m in sys.modules])"
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "[]\n"
