@@ -45,22 +45,60 @@ def rotation_from_quaternion_wxyz(quaternion: ArrayLike) -> FloatArray:
 
 
 def quaternion_wxyz_from_rotation(rotation: ArrayLike) -> FloatArray:
-    """Unit quaternion ``(4,)`` with w >= 0 of one rotation matrix ``(3, 3)``.
+    """Unit quaternion(s) ``(..., 4)`` with w >= 0 of rotation matrices ``(..., 3, 3)``.
 
-    The eigenvector form of Bar-Itzhack (2000) is used: it has no special cases and averages out rounding errors.
+    The eigenvector form of Bar-Itzhack (2000) is used: it has no special cases, and of a rounded matrix it gives the
+    nearest rotation.
     """
     m = np.asarray(rotation, dtype=np.float64)
-    k = np.array(
+    k = np.zeros((*m.shape[:-2], 4, 4))
+    k[..., 0, 0] = m[..., 0, 0] - m[..., 1, 1] - m[..., 2, 2]
+    k[..., 1, 1] = m[..., 1, 1] - m[..., 0, 0] - m[..., 2, 2]
+    k[..., 2, 2] = m[..., 2, 2] - m[..., 0, 0] - m[..., 1, 1]
+    k[..., 3, 3] = m[..., 0, 0] + m[..., 1, 1] + m[..., 2, 2]
+    k[..., 1, 0] = m[..., 0, 1] + m[..., 1, 0]
+    k[..., 2, 0] = m[..., 0, 2] + m[..., 2, 0]
+    k[..., 2, 1] = m[..., 1, 2] + m[..., 2, 1]
+    k[..., 3, 0] = m[..., 2, 1] - m[..., 1, 2]
+    k[..., 3, 1] = m[..., 0, 2] - m[..., 2, 0]
+    k[..., 3, 2] = m[..., 1, 0] - m[..., 0, 1]
+    x, y, z, w = np.moveaxis(np.linalg.eigh(k / 3.0, UPLO="L")[1][..., -1], -1, 0)
+    q = np.stack([w, x, y, z], axis=-1)
+    return np.where(w[..., None] >= 0.0, q, -q)
+
+
+def multiply_quaternions_wxyz(left: ArrayLike, right: ArrayLike) -> FloatArray:
+    """Product(s) ``(..., 4)``: the rotation ``right`` followed by ``left``."""
+    w1, x1, y1, z1 = np.moveaxis(np.asarray(left, dtype=np.float64), -1, 0)
+    w2, x2, y2, z2 = np.moveaxis(np.asarray(right, dtype=np.float64), -1, 0)
+    return np.stack(
         [
-            [m[0, 0] - m[1, 1] - m[2, 2], 0.0, 0.0, 0.0],
-            [m[0, 1] + m[1, 0], m[1, 1] - m[0, 0] - m[2, 2], 0.0, 0.0],
-            [m[0, 2] + m[2, 0], m[1, 2] + m[2, 1], m[2, 2] - m[0, 0] - m[1, 1], 0.0],
-            [m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1], m[0, 0] + m[1, 1] + m[2, 2]],
-        ]
+            w1 * w2 - x1 * x2 - y1 * y2 - z1 * z2,
+            w1 * x2 + x1 * w2 + y1 * z2 - z1 * y2,
+            w1 * y2 - x1 * z2 + y1 * w2 + z1 * x2,
+            w1 * z2 + x1 * y2 - y1 * x2 + z1 * w2,
+        ],
+        axis=-1,
     )
-    x, y, z, w = np.linalg.eigh(k / 3.0, UPLO="L")[1][:, -1]
-    q = np.array([w, x, y, z])
-    return q if w >= 0.0 else -q
+
+
+def conjugate_quaternion_wxyz(quaternion: ArrayLike) -> FloatArray:
+    """Inverse rotation(s) ``(..., 4)`` of unit quaternion(s)."""
+    return np.asarray(quaternion, dtype=np.float64) * np.array([1.0, -1.0, -1.0, -1.0])
+
+
+def angle_between_quaternions_rad(first: ArrayLike, second: ArrayLike) -> FloatArray:
+    """Angle(s) in [0, pi] of the rotation from ``first`` to ``second``, unit quaternions ``(..., 4)``.
+
+    The chord form keeps all digits: arccos of the trace loses those below 1e-8 rad. A quaternion and its negative
+    are the same rotation, so the nearer of the two counts.
+    """
+    a, b = np.asarray(first, dtype=np.float64), np.asarray(second, dtype=np.float64)
+    chord_squared = np.asarray(np.sum((a - b) ** 2, axis=-1))
+    far = chord_squared > 2.0
+    if far.any():
+        chord_squared[far] = np.sum((a + b) ** 2, axis=-1)[far]
+    return 4.0 * np.arcsin(0.5 * np.sqrt(chord_squared))
 
 
 def rotation_from_yaw(yaw_rad: ArrayLike) -> FloatArray:

@@ -1,0 +1,194 @@
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mixo_env.nuscenes.inspection import calibration_problems, inspect_scene, problems_of_folder, yaw_rate_correlation
+from mixo_env.nuscenes.scene import CameraCalibration, Signal
+from mixo_env.nuscenes.tables import open_dataset
+from tests.nuscenes_fixture import DRIVES, write_can_bus, write_nuscenes
+
+
+@pytest.fixture(scope="module")
+def sound(tmp_path_factory) -> Path:
+    root = tmp_path_factory.mktemp("sound")
+    write_nuscenes(root)
+    return root
+
+
+@pytest.fixture
+def folder(sound, tmp_path) -> Path:
+    shutil.copytree(sound, tmp_path / "copy")
+    return tmp_path / "copy"
+
+
+def report(folder: Path, name: str = "scene-2061"):
+    dataset = open_dataset(folder)
+    return inspect_scene(dataset, dataset.scenes[dataset.position(name)], dataset.channels)
+
+
+def change_can_bus(folder: Path, message: str, change) -> None:
+    path = folder / "can_bus" / f"scene-2061_{message}.json"
+    path.write_text(json.dumps(change(json.loads(path.read_text()))))
+
+
+def test_sound_scenes(sound):
+    first = report(sound)
+    assert first.problems == []
+    assert first.notes == []
+    assert first.gyro_correlation > 0.999
+    assert first.wheel_ratio == pytest.approx(1.0, abs=2e-3)
+    assert first.distance_m == pytest.approx(8.0 * first.duration_s, rel=1e-3)
+    assert first.turn_deg == pytest.approx(np.degrees(1.5), abs=1.0)
+    standing = report(sound, "scene-2103")
+    assert standing.problems == []
+    assert standing.gyro_correlation is None
+    assert standing.wheel_ratio is None
+    assert problems_of_folder(open_dataset(sound)) == []
+
+
+def test_missing_messages(sound):
+    assert report(sound, "scene-2655").notes == ["no vehicle_monitor messages"]
+    assert report(sound, "scene-2757").problems == ["no CAN bus data: it cannot be recorded"]
+
+
+def test_images(folder):
+    track = open_dataset(folder).track("scene-2061", "CAM_BACK")
+    track.image_paths[2].unlink()
+    track.image_paths[3].unlink()
+    track.image_paths[5].write_bytes(b"")
+    found = report(folder).problems
+    assert len(found) == 2
+    assert found[0].startswith("CAM_BACK: 2 of 48 images are missing, first ")
+    assert found[1].startswith("CAM_BACK: 1 of 48 images are empty, first ")
+
+
+def test_times_and_key_frames(folder):
+    table = folder / "v1.0-mini" / "sample_data.json"
+    rows = json.loads(table.read_text())
+    cut = [r for r in rows if "CAM_FRONT__" not in r["filename"] or not 1 < 1e-6 * (r["timestamp"] % 10**8) - 27 < 3]
+    assert len(cut) < len(rows)
+    for row in cut:
+        if "CAM_BACK__" in row["filename"] and row["is_key_frame"]:
+            row["timestamp"] += 12_000
+    table.write_text(json.dumps(cut))
+    found = report(folder)
+    assert any(text.startswith("CAM_FRONT: no image for ") for text in found.problems)
+    assert any("key frames; the scene table says 9" in text for text in found.problems)
+    assert any("CAM_BACK: " in text and "off the 50 ms grid" in text for text in found.notes)
+
+
+def test_broken_poses(folder):
+    table = folder / "v1.0-mini" / "ego_pose.json"
+    rows = json.loads(table.read_text())
+    table.write_text(json.dumps([row | {"rotation": [v * 1.5 for v in row["rotation"]]} for row in rows]))
+    assert all("quaternion is not unit" in text for text in report(folder).problems)
+
+
+class TestCalibration:
+    good = CameraCalibration(
+        "CAM_FRONT",
+        np.array([[1266.0, 0, 816], [0, 1266, 491], [0, 0, 1]]),
+        np.array([[0.0, 0, 1], [-1, 0, 0], [0, -1, 0]]),
+        np.zeros(3),
+        1600,
+        900,
+    )
+
+    def test_good(self):
+        assert calibration_problems(self.good) == []
+
+    @pytest.mark.parametrize(
+        ("change", "message"),
+        [
+            ({"intrinsic": np.full((3, 3), np.nan)}, "not finite"),
+            ({"intrinsic": np.diag([-1.0, 1.0, 1.0])}, "focal lengths"),
+            ({"intrinsic": np.array([[900.0, 0, 5000], [0, 900, 400], [0, 0, 1]])}, "principal point"),
+            ({"rotation_ego_from_camera": 1.1 * good.rotation_ego_from_camera}, "not a rotation"),
+            ({"rotation_ego_from_camera": good.rotation_ego_from_camera @ np.diag([-1, 1, 1])}, "left-handed"),
+            ({"rotation_ego_from_camera": np.eye(3)}, "does not point down"),
+        ],
+    )
+    def test_bad(self, change, message):
+        found = calibration_problems(replace(self.good, **change))
+        assert len(found) == 1
+        assert message in found[0]
+
+
+class TestCanBus:
+    @pytest.mark.parametrize(
+        ("message", "change", "expected"),
+        [
+            ("ms_imu", lambda rows: [r | {"rotation_rate": [0, 0, -r["rotation_rate"][2]]} for r in rows], "is -1.00"),
+            ("ms_imu", lambda rows: [r | {"utime": r["utime"] + 600_000} for r in rows], "begins 0.65 s after"),
+            ("ms_imu", lambda rows: rows[:200], "ends 2.0"),
+            ("ms_imu", lambda rows: rows[:100] + rows[200:], "silent for 1.01 s"),
+            ("zoe_veh_info", lambda rows: [r | {"RL_wheel_speed": 26.0, "RR_wheel_speed": 26.0} for r in rows], "roll"),
+            ("zoe_veh_info", lambda rows: [], "no zoe_veh_info messages"),
+        ],
+    )
+    def test_problems(self, folder, message, change, expected):
+        change_can_bus(folder, message, change)
+        assert any(message in text and expected in text for text in report(folder).problems), report(folder).problems
+
+    def test_broken_file(self, folder):
+        (folder / "can_bus" / "scene-2061_pose.json").write_text("[{")
+        assert "is not a valid CAN bus file" in report(folder).problems[0]
+
+    def test_without_the_folder(self, folder):
+        shutil.rmtree(folder / "can_bus")
+        assert "unpack the CAN bus expansion" in problems_of_folder(open_dataset(folder))[0]
+        assert report(folder).problems == []  # said once for the folder, not once a scene
+
+
+def test_known_remarks(tmp_path):
+    drives = (
+        replace(DRIVES[0], name="scene-0501", description="Day"),
+        replace(DRIVES[0], name="scene-1002", description="Sunny street", start_us=DRIVES[0].start_us + 10**8),
+        replace(DRIVES[3], name="scene-0161", description="Day"),
+    )
+    write_nuscenes(tmp_path, drives, duration_s=1.0)
+    assert report(tmp_path, "scene-0501").notes == ["outside the annotated map"]
+    assert report(tmp_path, "scene-1002").notes == ["described as day, against what its number suggests"]
+    found = report(tmp_path, "scene-0161")
+    assert (found.problems, found.notes) == ([], ["no CAN bus data: it cannot be recorded"])
+
+
+def test_correlation_needs_turning_and_overlap():
+    times = np.arange(0, 10_000_000, 100_000)
+    yaw = 0.5 * np.sin(1e-6 * times)
+    gyro = Signal(times, 0.5 * np.cos(1e-6 * times))
+    assert yaw_rate_correlation(gyro, times, yaw) == pytest.approx(1.0, abs=1e-3)
+    assert yaw_rate_correlation(gyro, times, 0.01 * yaw) is None
+    assert yaw_rate_correlation(gyro, times + 9_500_000, yaw) is None
+    assert yaw_rate_correlation(Signal(times, np.zeros(len(times))), times, yaw) == 0.0
+
+
+@pytest.mark.skipif("MIXO_REAL_DATA" not in os.environ, reason="needs real data")
+def test_real_gyro_signs():
+    from mixo_env.geometry import yaw_from_quaternion_wxyz
+    from mixo_env.nuscenes.can_bus import read_can_bus
+
+    folder = Path(os.environ["MIXO_REAL_DATA"]) / "nuscenes_can_bus"
+    turning = {}
+    for name in ("scene-0061", "scene-0655", "scene-0757", "scene-0796"):
+        can_bus = read_can_bus(folder, name)
+        poses = json.loads((folder / f"{name}_pose.json").read_text())
+        times = np.array([row["utime"] for row in poses])
+        yaw = np.unwrap(yaw_from_quaternion_wxyz([row["orientation"] for row in poses]))
+        turning[name] = yaw_rate_correlation(can_bus.imu_yaw_rate_radps, times, yaw)
+    assert turning["scene-0061"] > 0.99
+    assert turning["scene-0796"] is None
+    assert all(value is None or value > 0.95 for value in turning.values()), turning
+
+
+def test_can_bus_of_the_fixture_has_a_bias_when_asked(tmp_path):
+    write_can_bus(tmp_path, DRIVES[1], 1.0, gyro_bias_radps=0.01)
+    rows = json.loads((tmp_path / f"{DRIVES[1].name}_ms_imu.json").read_text())
+    assert rows[0]["rotation_rate"][2] == 0.01
