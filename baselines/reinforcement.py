@@ -33,7 +33,7 @@ class PPO(Policy):
     def __init__(
         self,
         *,
-        steps: int = 100_000,
+        steps: int = 61_440,
         gamma: float = 0.0,
         environments: int = 64,
         rollout: int = 64,
@@ -73,8 +73,9 @@ class PPO(Policy):
                 device="cpu",
             )
             model.learn(self.steps)
-        self._mean = normalised.obs_rms.mean
-        self._std = np.sqrt(normalised.obs_rms.var + normalised.epsilon)
+        statistics: Any = normalised.obs_rms  # of one array, not of a dictionary of them
+        self._mean = statistics.mean
+        self._std = np.sqrt(statistics.var + normalised.epsilon)
         self._layers = actor_layers(model.policy)
 
     def act(self, observation: Observation) -> Weights:

@@ -9,6 +9,7 @@ It walks every sample and every sweep, checks each image, projects known points 
 bus. Exit code 0: all good; 1: a line for everything found wrong.
 """
 
+# pyright: reportMissingImports=false
 from __future__ import annotations
 
 import argparse

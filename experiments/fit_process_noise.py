@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 import tyro
 
-from mixo_env.errors import DatasetError
+from mixo_env.errors import DatasetError, MixoError
 from mixo_env.experts.inertial import SPEED_VARIANCE, YAW_RATE_VARIANCE, ProcessNoise, grade_inputs
 from mixo_env.experts.rate_filter import run_filter
 from mixo_env.nuscenes.can_bus import read_can_bus, scenes_with_can_bus
@@ -87,4 +87,7 @@ def fit_density(signals: list[Signal], measurement_variance: float) -> float:
 if __name__ == "__main__":
     import sys
 
-    sys.exit(tyro.cli(FitProcessNoise, description=__doc__).run())
+    try:
+        sys.exit(tyro.cli(FitProcessNoise, description=__doc__).run())
+    except MixoError as error:
+        sys.exit(f"fit_process_noise: {error}")

@@ -129,7 +129,7 @@ class Leaderboard:
 def build(
     recordings: Recordings,
     *,
-    tracks: Sequence[str] = tuple(TRACKS),
+    tracks: Sequence[str] = (),
     policies: Sequence[str] = (),
     seed: int = 0,
     progress: Callable[[str], None] = lambda _: None,
@@ -138,7 +138,7 @@ def build(
 
     Args:
         recordings: scenes to score; their folds divide training from test.
-        tracks: to run.
+        tracks: to run; empty: all.
         policies: names of policies and floors, however they are spelt (case, hyphens); empty: all.
         seed: of every learned policy and of the bootstrap.
         progress: told what is about to run.
@@ -156,7 +156,7 @@ def build(
     courses = {truth: Course(protocol.recordings, truth) for truth in (("truth", "exact") if exact else ("truth",))}
     scorer = Scorer(protocol.recordings, courses, seed)
     tables = []
-    for track in tracks:
+    for track in tracks or TRACKS:
         runs: list[Run] = []
         left_out: dict[str, str] = {}
         for name in chosen:

@@ -10,11 +10,14 @@ from dataclasses import asdict
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from experiments.leaderboard import ONE_FOLD, RANKING_LOGS, Leaderboard, Row, Table
 from experiments.tables import Column
 from experiments.tables import Table as TextTable
+from mixo_env.geometry import FloatArray
 from mixo_env.metrics.bootstrap import Interval
+from mixo_env.metrics.relative import RelativeSamples
 from mixo_env.recordings.schema import TRACKS
 
 COLUMNS = ("policy", "RTE %", "RTE deg/m", "ATE m", "ATE deg", "lost/scene", "yaw deg", "> 0.5 m")
@@ -191,14 +194,13 @@ def to_csv(board: Leaderboard) -> str:
         tested_in_part = [row for row in table.one_fold_rows if row.run.name not in {r.run.name for r in table.rows}]
         for row in (*table.rows, *tested_in_part):
             for truth, errors in row.errors.items():
-                samples = np.bincount(errors.relative.scene, minlength=len(entries))
+                translation, rotation, samples = _scene_means(errors.relative, len(entries))
                 for i in np.flatnonzero(row.run.tested):
-                    here = errors.relative.scene == i
                     numbers = (
                         errors.absolute.translation_m[i],
                         errors.absolute.rotation_deg[i],
-                        errors.relative.translation_percent[here].mean() if samples[i] else np.nan,
-                        errors.relative.rotation_deg_per_m[here].mean() if samples[i] else np.nan,
+                        translation[i],
+                        rotation[i],
                         samples[i],
                         np.sqrt(errors.squared_yaw_increment_deg2[i] / errors.steps[i]),
                         row.lost.counts[i] if row.lost else "",
@@ -206,6 +208,17 @@ def to_csv(board: Leaderboard) -> str:
                     names = (table.track, row.run.name, int(row.run.privileged), truth)
                     writer.writerow([*names, entries[i].name, entries[i].log, entries[i].fold, *numbers])
     return text.getvalue()
+
+
+def _scene_means(samples: RelativeSamples, scenes: int) -> tuple[FloatArray, FloatArray, NDArray[np.int64]]:
+    """Mean RTE [%] and [deg/m] of each scene ``(scenes,)``, NaN without a sample, and their number."""
+    counts = np.bincount(samples.scene, minlength=scenes)
+    sums = (
+        np.bincount(samples.scene, weights=values, minlength=scenes)
+        for values in (samples.translation_percent, samples.rotation_deg_per_m)
+    )
+    translation, rotation = (np.where(counts > 0, total / np.maximum(counts, 1), np.nan) for total in sums)
+    return translation, rotation, counts
 
 
 def _row_json(row: Row) -> dict[str, Any]:

@@ -166,6 +166,7 @@ class MethodScore:
                 "translation_m": asdict(statistics(self.absolute.translation_m[rows])),
                 "rotation_deg": asdict(statistics(self.absolute.rotation_deg[rows])),
             },
+            "end_error_m": float(self.absolute.translation_m[rows.stop - 1]),
             "rte": {
                 "translation_percent": statistics(self.relative.translation_percent[relative]).mean,
                 "rotation_deg_per_m": statistics(self.relative.rotation_deg_per_m[relative]).mean,

@@ -15,7 +15,6 @@ def headline(numbers: Numbers) -> Table:
     columns = (
         Column("Method"),
         Column("Scenes", spec="d"),
-        Column("Poses", spec="d"),
         Column("Path", "m", ".1f"),
         Column("ATE", "m", ".4f"),
         Column("ATE", "deg", ".4f"),
@@ -34,7 +33,6 @@ def headline(numbers: Numbers) -> Table:
             [
                 name,
                 len(method["scenes"]),
-                method["poses"],
                 method["path_m"],
                 ate["translation_m"]["mean"],
                 ate["rotation_deg"]["mean"],

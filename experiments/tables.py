@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import math
+import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -47,7 +48,7 @@ class Table:
             "  ".join(cell.rjust(width) if k else cell.ljust(width) for k, (cell, width) in enumerate(pairs)).rstrip()
             for pairs in (list(zip(line, widths, strict=True)) for line in lines)
         ]
-        return "\n".join([self.caption, aligned[0], "-" * len(aligned[0]), *aligned[1:]]) + "\n"
+        return "\n".join([textwrap.fill(self.caption, 100), aligned[0], "-" * len(aligned[0]), *aligned[1:]]) + "\n"
 
     def csv(self) -> str:
         """Comma-separated values with all digits, without the caption; a missing value is empty."""

@@ -11,7 +11,10 @@ import gymnasium
 
 __version__ = version("mixo-env")
 
-ENVIRONMENTS = {"MixoOdometry-v0": "mixo_env.envs.odometry:MixoOdometry"}
+ENVIRONMENTS = {
+    "MixoOdometry-v0": "mixo_env.envs.odometry:MixoOdometry",
+    "MixoOdometryBudget-v0": "mixo_env.envs.budget:MixoOdometryBudget",
+}
 """Id -> module and name of its two classes, less their endings ``Env`` and ``VectorEnv``."""
 
 for _id, _entry_point in ENVIRONMENTS.items():

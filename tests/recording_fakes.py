@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import simplejpeg
 
@@ -15,6 +16,7 @@ from mixo_env.experts.inertial import InertialTrack
 from mixo_env.nuscenes.scene import CameraCalibration, CameraTrack, CanBus, ExactPoses, Scene, Signal
 from mixo_env.nuscenes.selections import CAMERA_OFFSET_US, CAMERAS, LIDAR_PERIOD_US
 from mixo_env.recordings.steps import Experts
+from tests.nuscenes_fixture import SceneTruth
 
 START_US = 1_600_000_000_000_000
 SPEED_MPS, YAW_RATE_RADPS = 6.0, 0.25
@@ -125,3 +127,42 @@ class FakeInertial:
 
 
 FAKES = Experts(FakeCamera, FakeInertial)
+
+
+def write_sliding_texture(root: Path, truth: dict[str, SceneTruth]) -> None:
+    """Pictures for a folder of ``write_nuscenes``: every camera sees one texture that slides to the right."""
+    noise = np.random.default_rng(0).integers(0, 256, (60, 120), np.uint8)
+    texture = cv2.resize(noise, (2400, 900), interpolation=cv2.INTER_CUBIC)
+    for scene in truth.values():
+        for camera in scene.cameras.values():
+            for i, name in enumerate(camera.filenames):
+                picture = np.ascontiguousarray(texture[:, 400 - 10 * i : 2000 - 10 * i, None])
+                (root / name).parent.mkdir(parents=True, exist_ok=True)
+                (root / name).write_bytes(simplejpeg.encode_jpeg(picture, quality=70, colorspace="GRAY"))
+
+
+def with_another_future(scene: Scene, t_us: int) -> Scene:
+    """The scene with every image and every CAN message after ``t_us`` changed, and the last two messages gone."""
+    cameras = {}
+    for camera, track in scene.cameras.items():
+        paths = list(track.image_paths)
+        for i in np.flatnonzero(track.timestamp_us > t_us):
+            picture = simplejpeg.decode_jpeg(paths[i].read_bytes(), colorspace="GRAY")
+            paths[i] = paths[i].with_suffix(".other.jpg")
+            flipped = np.ascontiguousarray(255 - picture[::-1])
+            paths[i].write_bytes(simplejpeg.encode_jpeg(flipped, colorspace="GRAY"))
+        cameras[camera] = replace(track, image_paths=tuple(paths))
+    assert scene.can_bus is not None
+    can_bus = CanBus(*(_with_another_future(getattr(scene.can_bus, field.name), t_us) for field in fields(CanBus)))
+    return replace(scene, cameras=cameras, can_bus=can_bus)
+
+
+def _with_another_future(signal: Signal | None, t_us: int) -> Signal | None:
+    if signal is None:
+        return None
+    later = signal.timestamp_us > t_us
+    value = signal.value.copy()
+    value[later] = 1.5 * value[later] + 0.3
+    keep = ~later
+    keep[:-2] = True
+    return Signal(signal.timestamp_us[keep], value[keep])

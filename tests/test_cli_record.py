@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import cv2
 import numpy as np
 import pytest
-import simplejpeg
 
 from experiments.cli import main
 from mixo_env.experts.expert import State
 from mixo_env.experts.monocular.config import MonocularConfig
 from mixo_env.recordings.store import load_recordings
 from tests.nuscenes_fixture import DRIVES, write_nuscenes
+from tests.recording_fakes import write_sliding_texture
 
 
 @pytest.fixture(scope="module")
@@ -19,14 +18,7 @@ def root(tmp_path_factory):
     """One second of a turning car and of one without CAN bus; every camera sees a texture that slides to the right."""
     folder = tmp_path_factory.mktemp("nuscenes")
     truth = write_nuscenes(folder, (DRIVES[0], DRIVES[3]), duration_s=1.0, images=False)
-    noise = np.random.default_rng(0).integers(0, 256, (60, 120), np.uint8)
-    texture = cv2.resize(noise, (2400, 900), interpolation=cv2.INTER_CUBIC)
-    for scene in truth.values():
-        for camera in scene.cameras.values():
-            for i, name in enumerate(camera.filenames):
-                picture = np.ascontiguousarray(texture[:, 400 - 10 * i : 2000 - 10 * i, None])
-                (folder / name).parent.mkdir(parents=True, exist_ok=True)
-                (folder / name).write_bytes(simplejpeg.encode_jpeg(picture, quality=70, colorspace="GRAY"))
+    write_sliding_texture(folder, truth)
     return folder
 
 

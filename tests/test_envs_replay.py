@@ -29,7 +29,7 @@ def test_one_expert_alone_is_reproduced_bit_for_bit(track: str) -> None:
             own = rows[f"{expert}.yaw_increment_rad"][1:].astype(float)
             substitute = rows[f"{TRACKS[track] or 'INERTIAL'}.yaw_increment_rad"][1:].astype(float)
             increments = np.where(np.isfinite(own), own, substitute)
-            np.testing.assert_array_equal(replay.history[scene, : len(own)], increments)
+            np.testing.assert_array_equal(replay.history[: len(own), scene], increments)
 
 
 def test_poses_equal_dead_reckoning() -> None:
@@ -38,7 +38,7 @@ def test_poses_equal_dead_reckoning() -> None:
     for entry, scene in enumerate((2, 0)):
         rows = RECORDINGS.rows(scene)
         start = tuple(float(rows[f"truth.{c}"][0]) for c in ("x_m", "y_m", "yaw_rad"))
-        increments = replay.history[entry, : len(rows["step"]) - 1]
+        increments = replay.history[: len(rows["step"]) - 1, entry]
         x, y, yaw = dead_reckon(increments, rows["distance_m"][1:], start=start)
         for ours, expected in zip(replay.trajectory(entry), (x, y, yaw), strict=True):
             np.testing.assert_array_equal(ours, expected)

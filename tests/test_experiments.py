@@ -233,3 +233,15 @@ def test_policy_names_are_found_however_they_are_spelt(recordings: Recordings) -
 def test_unknown_track_is_refused_before_anything_runs(recordings: Recordings) -> None:
     with pytest.raises(ConfigurationError, match=r"unknown track 'PAPPER': did you mean 'PAPER'"):
         build(recordings, tracks=["PAPPER"])
+
+
+def test_imported_expert_votes_and_has_a_row_of_its_own(recordings: Recordings) -> None:
+    columns = {c: recordings[c] for c in recordings.column_names}
+    columns["DROID.yaw_increment_rad"] = recordings["INERTIAL.yaw_increment_rad"].copy()
+    columns["DROID.yaw_increment_rad"][5:9] = np.nan
+    more = Recordings(replace(recordings.manifest, imported=("DROID",)), columns)
+    board = build(more, tracks=("PAPER",), policies=("DROID", "LINEAR", "MEDIAN", "HIGHEST MATCH"))
+    (table,) = board.tables
+    assert [row.run.name for row in table.rows] == ["DROID", "HIGHEST MATCH", "MEDIAN", "LINEAR"]
+    assert table.rows[0].lost is None
+    assert list(table.linear_weights()[0]) == [*recordings.manifest.cameras, "DROID", "INERTIAL_POSE"]

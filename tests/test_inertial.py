@@ -328,3 +328,25 @@ def test_from_a_folder_to_the_true_path(tmp_path):
 
 def test_defaults_are_the_papers():
     assert (SPEED_VARIANCE, YAW_RATE_VARIANCE["INERTIAL_POSE"], YAW_RATE_VARIANCE["INERTIAL"]) == (0.1, 0.01, 0.01)
+
+
+def test_fit_finds_the_process_noise_again():
+    """A random walk of known density, measured with the paper's R; and the script that prints the fit."""
+    from experiments.fit_process_noise import fit_density
+
+    rng = np.random.default_rng(8)
+    times = stamps_us(20.0, 20, jitter_s=0.01)
+    walk = np.cumsum(rng.normal(0.0, np.sqrt(2.0 * np.diff(1e-6 * times, prepend=1e-6 * times[0]))))
+    sent = Signal(times, walk + rng.normal(0.0, np.sqrt(SPEED_VARIANCE), len(times)))
+    assert fit_density([sent], SPEED_VARIANCE) == pytest.approx(2.0, rel=0.3)
+
+
+def test_fit_without_messages_is_one_line(tmp_path):
+    import subprocess
+    import sys
+
+    command = [sys.executable, "-m", "experiments.fit_process_noise", str(tmp_path)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert done.returncode == 1
+    assert "give the can_bus folder itself" in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1

@@ -48,9 +48,11 @@ def test_distance_and_yaw(scene, capsys):
         error = track.yaw_rad - yaw
         step_deg = np.degrees(np.sqrt(np.mean(np.diff(error) ** 2)))
         lines[grade] = (ratio, drift_degps(time_us, error), step_deg)
+        figures = (
+            f"distance {ratio:.4f} of true, yaw drift {lines[grade][1]:+.4f} deg/s, increment RMS {step_deg:.4f} deg"
+        )
         with capsys.disabled():
-            print(f"\n{scene} {grade:17} distance {ratio:.4f} of true, yaw drift {lines[grade][1]:+.4f} deg/s, "
-                  f"increment RMS {step_deg:.4f} deg", end="")  # fmt: skip
+            print(f"\n{scene} {grade:17} {figures}", end="")
     assert lines["INERTIAL"][0] == pytest.approx(1.0, abs=0.01)
     assert lines["INERTIAL_CONSUMER"][0] == lines["INERTIAL"][0]
     assert lines["INERTIAL_POSE"][0] == pytest.approx(1.0, abs=0.02)

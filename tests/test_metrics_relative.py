@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -11,7 +14,7 @@ from mixo_env.metrics import relative as relative_module
 from mixo_env.metrics.aggregate import mean_of_length_means, per_length, pooled, rmse_over_length
 from mixo_env.metrics.pairs import PairRule, Pairs, find_end_pairs, find_kitti_pairs, find_pairs, path_length
 from mixo_env.metrics.relative import relative_errors, relative_errors_se2, relative_samples_se2
-from mixo_env.trajectory import Trajectory
+from mixo_env.trajectory import Trajectory, read_trajectory
 from tests.trajectories import (
     disturbed,
     drive,
@@ -303,3 +306,17 @@ def test_rules_that_make_no_sense_are_refused(wrong):
 def test_offsets_must_cover_the_rows():
     with pytest.raises(ConfigurationError, match="offsets"):
         find_pairs(np.arange(5.0), None, np.array([0, 4]))
+
+
+def real_truths() -> list[Path]:
+    """A dozen real ground-truth paths, standing scenes among them, where real data is at hand."""
+    root = os.environ.get("MIXO_REAL_DATA")
+    return sorted((Path(root) / "nuscenes_val_poses").glob("*.txt"))[::6] if root else []
+
+
+@pytest.mark.parametrize("path", real_truths(), ids=lambda path: path.stem)
+def test_real_paths_give_the_literal_pairs(path):
+    distance = path_length(read_trajectory(path).positions_m)
+    found = find_pairs(distance)
+    for length in found.lengths_m:
+        assert listed(found, length) == literal_pairs(distance.tolist(), length)

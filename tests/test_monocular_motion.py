@@ -84,7 +84,7 @@ def matched_pair(rng: np.random.Generator, camera: str, speed: float, rate: floa
         (first - CENTRE) / focal,
         (second - CENTRE) / focal,
         rotation,
-        np.array([lever_x, lever_y]),
+        np.array([lever_x, lever_y, 1.5]),
         yaw,
         distance,
         focal,
@@ -153,12 +153,12 @@ def test_noise_is_not_a_motion(camera: str) -> None:
     rng = np.random.default_rng(3)
     _, focal, *lever = CAMERAS[camera]
     first, second = (rng.uniform(-0.6, 0.6, (200, 2)) for _ in range(2))
-    solved = estimate_motion(first, second, AXES, np.array(lever), MotionPrior(0.8, 1.0 / RATE_HZ, 1.0 / focal))
+    solved = estimate_motion(first, second, AXES, np.array([*lever, 1.5]), MotionPrior(0.8, 1.0 / RATE_HZ, 1.0 / focal))
     assert solved is None or solved.inlier.sum() < 30
 
 
 def test_degenerate_input_never_raises() -> None:
-    lever, prior = np.array([1.7, 0.0]), MotionPrior(0.8, 0.08, 0.001)
+    lever, prior = np.array([1.7, 0.0, 1.5]), MotionPrior(0.8, 0.08, 0.001)
     for count in (0, 1, 7, 8, 50):
         same = np.zeros((count, 2))
         solved = estimate_motion(same, same, AXES, lever, prior)

@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.fitting import DEFAULT_REWARD_SCALE_RAD, substituted_increments, with_fits
 from mixo_env.recordings.folds import contiguous_folds, folds_by_log, with_folds
-from mixo_env.recordings.schema import TRACKS, SceneEntry
+from mixo_env.recordings.schema import TRACKS, SceneEntry, VehicleConstants
+from mixo_env.recordings.vehicles import fit_vehicle_constants, training_constants, with_held_out_constants
 from tests.synthetic import synthetic_recordings
 
 
@@ -26,8 +27,7 @@ def entries(logs: list[int], night: set[int] = frozenset()) -> list[SceneEntry]:
 
 def refolded(recordings: Recordings, folds: list[int]) -> Recordings:
     scenes = tuple(replace(s, fold=f) for s, f in zip(recordings.scenes, folds, strict=True))
-    columns = {name: recordings[name] for name in recordings.column_names}
-    return Recordings(replace(recordings.manifest, scenes=scenes), columns)
+    return recordings.replace(replace(recordings.manifest, scenes=scenes))
 
 
 def test_folds_by_log_by_hand():
@@ -96,8 +96,7 @@ def test_held_out_weights_ignore_the_fold_and_night():
     for i, scene in enumerate(recordings.scenes):
         if scene.fold == 2:
             changed[recordings.offsets[i] : recordings.offsets[i + 1]] *= -3.0
-    columns = {name: recordings[name] for name in recordings.column_names}
-    other = with_fits(Recordings(recordings.manifest, columns | {"truth.yaw_increment_rad": changed}))
+    other = with_fits(recordings.replace(columns={"truth.yaw_increment_rad": changed}))
     same = with_fits(recordings)
     for track in TRACKS:
         assert other.manifest.linear_weights[track]["2"] == same.manifest.linear_weights[track]["2"]
@@ -126,3 +125,41 @@ def test_a_single_log_or_night_alone(fold, keys):
     fitted = with_fits(refolded(recordings, [fold, fold])).manifest
     assert set(fitted.linear_weights["VISION"]) == keys
     assert (fitted.reward_scale_rad["VISION"] == DEFAULT_REWARD_SCALE_RAD) == (not keys)
+
+
+def scaled_recordings() -> Recordings:
+    """Two vehicles in four folds; in fold f every true distance is f per cent longer than the wheels say."""
+    recordings = synthetic_recordings(scenes=16, logs=4)
+    distance = np.concatenate(
+        [recordings.rows(i)["truth.distance_m"] / (1 + 0.01 * scene.fold) for i, scene in enumerate(recordings.scenes)]
+    )
+    scenes = tuple(replace(scene, vehicle="ab"[i // 8]) for i, scene in enumerate(recordings.scenes))
+    manifest = replace(recordings.manifest, scenes=scenes)
+    return recordings.replace(manifest, {"distance_m": distance.astype(np.float32)})
+
+
+def test_vehicle_constants_of_a_fold_come_from_the_others():
+    recordings = scaled_recordings()
+    prepared = with_held_out_constants(recordings)
+    assert len(prepared.manifest.vehicles) == 8
+    for before, after in zip(recordings.scenes, prepared.scenes, strict=True):
+        others = [fold for fold in range(4) if fold != before.fold]
+        scale = prepared.manifest.vehicles[after.vehicle].wheel_scale
+        assert 1 + 0.01 * min(others) < scale < 1 + 0.01 * max(others)
+        training = recordings.select(folds=others)
+        assert prepared.manifest.vehicles[after.vehicle] == fit_vehicle_constants(training, "ab")[before.vehicle]
+        assert replace(after, vehicle=before.vehicle) == before
+    for vehicle, constants in training_constants(recordings).items():
+        assert constants == fit_vehicle_constants(recordings.select(split="train"), "ab")[vehicle]
+    one_fold = recordings.select(folds=[2])
+    assert with_held_out_constants(one_fold) is one_fold
+
+
+def test_vehicle_constants_are_nominal_where_nothing_moves():
+    recordings = synthetic_recordings(scenes=4)
+    columns = {name: np.zeros_like(recordings[name]) for name in ("truth.distance_m", "truth.x_m", "truth.y_m")}
+    still = recordings.replace(columns=columns)
+    assert training_constants(still) == {"n099": VehicleConstants()}
+    assert set(with_held_out_constants(still).manifest.vehicles.values()) == {VehicleConstants()}
+    night = refolded(recordings, [-1] * 4)
+    assert training_constants(night) == {"n099": VehicleConstants()}

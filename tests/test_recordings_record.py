@@ -57,7 +57,7 @@ def test_a_recording_is_complete(dataset, tmp_path):
     assert [scene.fold for scene in recordings.scenes] == [0, 0, 1, 2, 3, -1]
     assert set(manifest.linear_weights["CONSUMER"]) == {"none", "0", "1", "2", "3"}
     assert all(scale > 0 for scale in manifest.reward_scale_rad.values())
-    assert {"python", "numpy", "opencv-python-headless"} <= set(manifest.software)
+    assert {"python", "numpy", "cv2"} <= set(manifest.software)
     assert set(manifest.parameters["inputs"]) == set(dataset.scene_names)
     assert manifest.parameters["skipped"] == {}
     assert manifest.parameters["monocular"]["features"] == MonocularConfig().features

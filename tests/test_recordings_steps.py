@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,12 +10,22 @@ import pytest
 from mixo_env.errors import DatasetError
 from mixo_env.experts.expert import State
 from mixo_env.geometry import wrap_angle_rad
-from mixo_env.nuscenes.scene import CanBus, Signal
+from mixo_env.nuscenes.scene import CanBus
 from mixo_env.nuscenes.selections import CAMERAS
 from mixo_env.recordings.clock import firing_rounds
 from mixo_env.recordings.schema import INERTIAL_EXPERTS, columns
 from mixo_env.recordings.steps import Experts, read_grey, record_scene
-from tests.recording_fakes import CELLS, DROPPED, FAKES, SPEED_MPS, YAW_RATE_RADPS, drive, make_scene, write_picture
+from tests.recording_fakes import (
+    CELLS,
+    DROPPED,
+    FAKES,
+    SPEED_MPS,
+    YAW_RATE_RADPS,
+    drive,
+    make_scene,
+    with_another_future,
+    write_picture,
+)
 
 
 @pytest.fixture
@@ -115,32 +125,14 @@ def test_inertial_columns(scene):
         assert np.isnan(table[name][0])
 
 
-def cut(signal: Signal | None, t_us: int) -> Signal | None:
-    """The signal with other values after ``t_us``, and its last two messages gone."""
-    if signal is None:
-        return None
-    value = np.where((signal.timestamp_us > t_us).reshape(-1, *[1] * (signal.value.ndim - 1)), 7.7, signal.value)
-    keep = np.ones(len(value), dtype=bool)
-    keep[-2:] = signal.timestamp_us[-2:] <= t_us
-    return Signal(signal.timestamp_us[keep], value[keep])
-
-
 @pytest.mark.parametrize("k", range(1, 11))
 def test_nothing_later_than_t_k_enters_row_k(scene, k):
     before, _ = record_scene(scene, FAKES)
-    t_k = int(before["timestamp_us"][k])
-    for track in scene.cameras.values():
-        for path, stamp in zip(track.image_paths, track.timestamp_us, strict=True):
-            if stamp > t_k:
-                write_picture(path, 255 - read_grey(path).mean())
-    assert scene.can_bus is not None
-    can_bus = CanBus(*(cut(getattr(scene.can_bus, field.name), t_k) for field in fields(CanBus)))
-    after, _ = record_scene(replace(scene, can_bus=can_bus), FAKES)
+    after, _ = record_scene(with_another_future(scene, before["timestamp_us"][k]), FAKES)
     for name, values in before.items():
         assert values[: k + 1].tobytes() == after[name][: k + 1].tobytes(), name
-    changed = [name for name in before if before[name][k + 1 :].tobytes() != after[name][k + 1 :].tobytes()]
-    expected = {"distance_m", "INERTIAL.yaw_increment_rad", "CAM_FRONT.yaw_increment_rad", "CAM_BACK.matches"}
-    assert expected <= set(changed)
+    changed = {name for name in before if before[name][k + 1 :].tobytes() != after[name][k + 1 :].tobytes()}
+    assert {"distance_m", "INERTIAL.yaw_increment_rad", "CAM_FRONT.yaw_increment_rad", "CAM_BACK.matches"} <= changed
 
 
 @pytest.mark.parametrize("k", [3, 6])
@@ -162,6 +154,12 @@ def test_what_cannot_be_recorded_is_refused(scene):
         record_scene(replace(scene, can_bus=None), FAKES)
     with pytest.raises(DatasetError, match="INERTIAL needs its messages"):
         record_scene(replace(scene, can_bus=CanBus()), FAKES)
+    alone = {
+        camera: replace(track, timestamp_us=track.timestamp_us[:1], image_paths=track.image_paths[:1])
+        for camera, track in scene.cameras.items()
+    }
+    with pytest.raises(DatasetError, match="at least two firing rounds"):
+        record_scene(replace(scene, cameras=alone), FAKES)
 
     class Blind:
         def __init__(self, can_bus, grade):

@@ -46,7 +46,7 @@ def test_files_do_not_depend_on_the_number_of_workers(folder, tmp_path):
 
 
 def test_cameras_do_not_influence_each_other(folder, tmp_path):
-    simulate(replace(TINY, all_cameras=True), tmp_path / "six")
+    simulate(replace(TINY, cameras=ALL_CAMERAS), tmp_path / "six")
     four, six = open_dataset(folder), open_dataset(tmp_path / "six")
     assert set(six.channels) == set(ALL_CAMERAS)
     for name in four.scene_names:

@@ -106,6 +106,7 @@ def write_tables(root: Path, scenes: int) -> int:
     folder = root / "v1.0-trainval"
     folder.mkdir(parents=True)
     (root / "maps").mkdir()
+    (root / "maps" / "none.png").touch()  # the devkit asks that it exists
     writers = {
         name: _Table(folder / f"{name}.json")
         for name in ("scene", "log", "sample", "sensor", "calibrated_sensor", "sample_data", "ego_pose", "map")

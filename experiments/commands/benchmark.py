@@ -14,26 +14,27 @@ if TYPE_CHECKING:
 class Benchmark:
     """Cross-validated leaderboard of all policies, one table per track.
 
-    Examples:
-      mixo benchmark                                    bundled recordings, all policies, all tracks
-      mixo benchmark --recordings my/recordings         your own, from `mixo record`
+    Worked examples:
+
+      mixo benchmark                                    everything on the bundled recordings
+      mixo benchmark --recordings recorded              on your own, from `mixo record`
       mixo benchmark --tracks CONSUMER --policies LINEAR MIXO highest-match
     """
 
     recordings: Path | None = None
-    """Folder written by `mixo record`, or the name of a bundled recording (default: the bundled mixocity)."""
+    """Folder written by `mixo record`, or the name of a bundled recording. None: the bundled mixocity."""
 
     tracks: tuple[str, ...] = ("PAPER", "VISION", "CONSUMER")
     """Who votes besides the cameras; every track has a table of its own."""
 
     policies: tuple[str, ...] = ()
-    """Rows to run (default: all); case, hyphens and underscores do not matter."""
+    """Rows to run; case, hyphens and underscores do not matter. Empty: all."""
 
     seed: int = 0
     """Of everything random: same seed, same machine, same numbers."""
 
     out: Path | None = None
-    """Folder for the results (default: results/benchmark-<date>-<time>; results/latest points there)."""
+    """Folder for the results. None: results/benchmark-<date>-<time>, and results/latest points there."""
 
     def run(self) -> int:
         """Print the leaderboard and write it, with figure, per-scene results and configuration."""

@@ -22,14 +22,13 @@ class Evaluate:
     Files are TUM, KITTI or EuRoC (told from their columns). Folders hold one file per scene, with the same names on
     both sides, or the layout of rpg_trajectory_evaluation (then give the same folder twice).
 
-    Examples:
-        mixo evaluate --groundtruth gt.txt --estimate orb.txt
+    Worked examples:
 
-        mixo evaluate --groundtruth gt.txt --estimate orb.txt droid.txt --align sim3 --format latex
-
-        mixo evaluate --groundtruth scenes/gt --estimate scenes/orb scenes/mixo --out results/scores --figures
-
-        mixo evaluate --groundtruth 07.txt --estimate est.txt --lengths 100 200 400 --json
+      mixo evaluate --groundtruth gt.txt --estimate orb.txt                         one pair
+      mixo evaluate --groundtruth gt.txt --estimate orb.txt droid.txt --align sim3  monocular scale is free
+      mixo evaluate --groundtruth gt --estimate orb mixo --out results/vo --figures folders of scenes, everything saved
+      mixo evaluate --groundtruth 07.txt --estimate est.txt --lengths 100 200 --json  all statistics
+      mixo evaluate --groundtruth gt.txt --estimate orb.txt --pairs rpg --align sim3  as rpg_trajectory_evaluation
     """
 
     groundtruth: Path
@@ -71,6 +70,8 @@ class Evaluate:
         from experiments.scoring import read_matched, score
         from mixo_env.errors import ConfigurationError
 
+        if not self.estimate:
+            raise ConfigurationError("expected at least one file or folder after --estimate, got none")
         if self.figures and self.out is None:
             raise ConfigurationError("--figures needs a folder to draw into: give --out FOLDER")
         convention = self._convention()

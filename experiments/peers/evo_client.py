@@ -46,6 +46,7 @@ def evo_scores(
         capture_output=True,
         text=True,
         check=True,
-        env={**os.environ, "OMP_NUM_THREADS": "1"},
+        # evo writes its settings into the home folder: give it one of its own.
+        env={**os.environ, "OMP_NUM_THREADS": "1", "HOME": str(python.parents[1])},
     )
     return json.loads(run.stdout)

@@ -43,6 +43,7 @@ class ActionRule:
         self.scale = {"softmax": LOGIT_SCALE, "raw": float(raw_scale)}.get(weights, 1.0)
         self.exponential = weights == "softmax"
         self.shares = weights != "raw"
+        self._shape = (experts + switches,) if weights != "select" else ()
         self._weights = weights
         self._experts = experts
         self._kinds = "iu" if weights == "select" else "f"
@@ -58,7 +59,7 @@ class ActionRule:
             ConfigurationError: for a wrong shape or dtype; see :meth:`complain` for the rest.
         """
         given = np.asarray(actions)
-        shape = self.space.shape if batch is None else (batch, *self.space.shape)
+        shape = self._shape if batch is None else (batch, *self._shape)
         if given.shape != shape:
             raise ConfigurationError(f"action: expected shape {shape}, got {given.shape}: see action_space")
         if given.dtype.kind not in self._kinds:
@@ -68,9 +69,8 @@ class ActionRule:
         numbers = np.array(given, np.float32, ndmin=2, order="C", copy=None)
         if self._weights == "simplex":
             self.complain(numbers)
-            return np.float32(
-                np.concatenate([project_to_simplex(numbers[:, : self._experts]), numbers[:, self._experts :]], axis=1)
-            )
+            shares = project_to_simplex(numbers[:, : self._experts])
+            return np.concatenate([shares, numbers[:, self._experts :]], axis=1).astype(np.float32)
         return numbers
 
     def complain(self, numbers: NDArray[np.float32]) -> None:

@@ -53,7 +53,7 @@ RICH = (
 )
 """Everything a deployed system knows."""
 
-AWAKE = Quantity("awake", "camera", 0.0, 1.0, "0 or 1", "the camera's image of this step has been processed")
+AWAKE = Quantity("awake", "camera", 0.0, 1.0, "0 or 1", "the image that closes this step was processed")
 """Only in budget environments."""
 
 TRUTH = Quantity("truth_yaw_rate", "one", -np.pi, np.pi, "rad/s", "ground truth: privileged, only when asked for")
@@ -105,6 +105,7 @@ def tabulate(
     votes: Votes,
     experts: tuple[str, ...],
     cameras: tuple[str, ...],
+    state: NDArray[np.int8],
     previous_yaw_rate: NDArray[np.float64],
 ) -> NDArray[np.float32]:
     """Recorded part of every observation.
@@ -116,6 +117,7 @@ def tabulate(
         votes: of those rows.
         experts: the voters, in the order of the weights.
         cameras: those of them that are cameras.
+        state: ``(rows, cameras)`` their State; what a camera says about its matches counts only while TRACKING.
         previous_yaw_rate: ``(rows,)`` [rad/s].
 
     Returns:
@@ -131,7 +133,6 @@ def tabulate(
 
     dt = recordings["dt_s"][steps][:, None]
     rates = votes.increments_rad / dt
-    state = stack(cameras, "state")
     tracking = state == State.TRACKING
     values = {
         "previous_yaw_rate": previous_yaw_rate[:, None],
@@ -142,7 +143,7 @@ def tabulate(
         "state": state,
         "yaw_rate_std": np.where(votes.available, stack(experts, "yaw_std_rad"), 0.0) / dt,
         "disagreement": rates - median_of_available(rates, votes.available)[:, None],
-        "awake": np.ones_like(state),
+        "awake": np.ones(state.shape),
         "truth_yaw_rate": recordings["truth.yaw_increment_rad"][steps][:, None] / dt,
     }
     values |= {q: np.where(tracking, stack(cameras, q), 0.0) for q in ("matches", "inliers", "residual_px", "flow_px")}

@@ -20,7 +20,7 @@ RENDER_MODES = ["ansi", "rgb_array"]
 class MixoOdometryEnv(gym.Env[Any, Any]):
     """DOC."""
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": RENDER_MODES, "render_fps": 12}
+    metadata: dict[str, Any] = {"render_modes": RENDER_MODES, "render_fps": 12}  # noqa: RUF012 (typed by Gymnasium)
     session_class: ClassVar[type[Session]] = Session
     settings_class: ClassVar[type[Settings]] = Settings
 
@@ -48,7 +48,7 @@ class MixoOdometryEnv(gym.Env[Any, Any]):
             raise ConfigurationError("the scene has ended: call reset() before step()")
         session = self.session
         observation, report, ended = session.play(session.rule.read(action, None))
-        info = dict(zip(session.reward.report, report.ravel().tolist(), strict=True))
+        info: dict[str, Any] = dict(zip(session.reward.report, report.ravel().tolist(), strict=True))
         reward = info.pop("reward")
         self._ended = ended > 0
         if self._ended:
@@ -60,7 +60,7 @@ class MixoOdometryEnv(gym.Env[Any, Any]):
 class MixoOdometryVectorEnv(VectorEnv[Any, Any, Any]):
     """``num_envs`` copies of :class:`MixoOdometryEnv` stepped together; equal to it step for step, and much faster."""
 
-    metadata: ClassVar[dict[str, Any]] = {
+    metadata: dict[str, Any] = {  # noqa: RUF012 (typed by Gymnasium)
         "render_modes": RENDER_MODES,
         "render_fps": 12,
         "autoreset_mode": AutoresetMode.NEXT_STEP,
@@ -83,7 +83,8 @@ class MixoOdometryVectorEnv(VectorEnv[Any, Any, Any]):
         if not isinstance(num_envs, int | np.integer) or num_envs < 1:
             raise ConfigurationError(f"num_envs: expected a whole number >= 1, got {num_envs!r}")
         self.num_envs = int(num_envs)
-        self.session = self.session_class(self.settings_class.read(options), self.num_envs)
+        settings = self.settings_class.read(options)
+        self.session = self.session_class(settings, self.num_envs, keep_trajectories=render_mode is not None)
         self.single_observation_space = self.session.observation_space
         self.single_action_space = self.session.rule.space
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
@@ -155,7 +156,7 @@ class MixoOdometryVectorEnv(VectorEnv[Any, Any, Any]):
     def _listed(self, observation: Any, truncated: NDArray[np.bool_]) -> NDArray[Any]:
         """Observations of the scenes that ended, one by one in an object array (Gymnasium's ``final_obs``)."""
         listed = np.full(self.num_envs, None, dtype=object)
-        for i in np.flatnonzero(truncated):
+        for i in np.flatnonzero(truncated).tolist():
             listed[i] = entry(observation, i)
         return listed
 

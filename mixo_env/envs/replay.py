@@ -52,6 +52,7 @@ class Replay:
         lost: Lost = "inertial",
         privileged: bool = False,
         quantities: tuple[Quantity, ...] = RICH,
+        keep_trajectories: bool = True,
     ) -> None:
         """Build the tables; the recordings are not copied and not changed.
 
@@ -63,6 +64,7 @@ class Replay:
             lost: a lost expert votes with the inertial increment, or does not vote.
             privileged: add ``truth_yaw_rate`` to the observation.
             quantities: what is observed, in order; the first must be the previous yaw rate.
+            keep_trajectories: remember the fused increments, which :meth:`trajectory` needs.
 
         Raises:
             ConfigurationError: for an unknown option value.
@@ -96,12 +98,20 @@ class Replay:
         self.fused = previous == "fused"
         previous_rate = self._previous_yaw_rate(previous)
         self.context = tabulate(
-            self.layout, recordings, self._steps, self.votes, self.experts, self.cameras, previous_rate
+            self.layout,
+            recordings,
+            self._steps,
+            self.votes,
+            self.experts,
+            self.cameras,
+            self._camera_states(),
+            previous_rate,
         )
         vehicles = [recordings.manifest.vehicles.get(scene.vehicle, VehicleConstants()) for scene in recordings.scenes]
         self._course_offset = np.array([vehicle.course_offset_rad for vehicle in vehicles])
         self.starts["course_rad"] = self._start[:, 2] + self._course_offset
         self.starts["previous_yaw_rate"] = previous_rate[self.starts["first"]]
+        self._keep_trajectories = keep_trajectories
         self.delivers = np.ones((0, len(self.experts)), dtype=np.bool_)
         self.history = np.zeros((0, 0))
 
@@ -130,7 +140,7 @@ class Replay:
         if self.batch != len(chosen):
             self.state = np.zeros(len(chosen), STATE)
             self.delivers = np.ones((len(chosen), len(self.experts)), dtype=np.bool_)
-            self.history = np.zeros((len(chosen), int(self.steps.max())))
+            self.history = np.zeros((int(self.steps.max()) if self._keep_trajectories else 0, len(chosen)))
         self.restart(np.arange(len(chosen)), chosen)
 
     def restart(self, which: NDArray[np.int64], scenes: NDArray[np.int64], *, pause: bool = False) -> None:
@@ -180,7 +190,7 @@ class Replay:
         first = int(self.starts[scene]["first"])
         x, y, yaw = (float(value) for value in self._start[scene])
         return dead_reckon(
-            self.history[entry, :done],
+            self.history[:done, entry],
             self.table["distance_m"][first : first + done],
             start=(x, y, yaw),
             course_offset_rad=float(self._course_offset[scene]),
@@ -190,6 +200,11 @@ class Replay:
         """True x [m], y [m], yaw [rad, unwrapped] ``(steps + 1,)`` of a scene, map frame."""
         rows = self.recordings.rows(scene)
         return rows["truth.x_m"], rows["truth.y_m"], rows["truth.yaw_rad"]
+
+    def _camera_states(self) -> NDArray[np.int8]:
+        """State ``(rows, cameras)`` of every camera at every step."""
+        states = [self.recordings[f"{camera}.state"][self._steps] for camera in self.cameras]
+        return np.stack(states, axis=-1) if states else np.zeros((len(self._steps), 0), np.int8)
 
     def _previous_yaw_rate(self, previous: Previous) -> FloatArray:
         """Recorded previous yaw rate ``(rows,)`` [rad/s].

@@ -35,15 +35,17 @@ class Session:
         observation_space: of one environment.
     """
 
-    def __init__(self, settings: Settings, batch: int) -> None:
-        """Open the recordings and build the core for ``batch`` environments."""
+    def __init__(self, settings: Settings, batch: int, *, keep_trajectories: bool = True) -> None:
+        """Open the recordings and build the core for ``batch`` environments; rendering needs the trajectories."""
         self.settings = settings
         self.recordings, training = settings.open()
-        self.replay = self._build_replay(self.recordings)
+        self.replay = self._build_replay(self.recordings, keep_trajectories)
+        voters = self.recordings.voters(settings.track)
+        for expert in self.replay.experts:
+            if expert not in voters:
+                raise ConfigurationError(unknown(f"expert of track {settings.track}", expert, voters))
         if len(self.replay.experts) < 2:
-            raise ConfigurationError(
-                f"experts: expected two or more, got {self.replay.experts}: there is nothing to mix"
-            )
+            raise ConfigurationError(f"experts: expected two or more, got {self.replay.experts}: nothing to mix")
         if not np.isfinite(self.replay.table["truth_rad"]).all():
             raise RecordingError("these recordings lack ground truth in some steps: an environment needs it to reward")
         self.rule = ActionRule(settings.weights, len(self.replay.experts), settings.raw_scale, self._switches())
@@ -100,16 +102,12 @@ class Session:
         Raises:
             ConfigurationError: for NaN and for numbers out of range; nothing has changed then.
         """
-        report = np.empty(self._report_shape)
-        flat = np.empty(self._flat_shape, np.float32)
-        ended = play(actions, report, flat, *self._game)
-        if ended < 0:
-            self.rule.complain(actions)
-        return (self.replay.layout.split(flat) if self._named_parts else flat), report, ended
+        flat, report, ended = self._step(actions)
+        return self._dressed(flat), report, ended
 
     def observe(self) -> Observation:
         """The batch's observation: ``(batch, width)``, or name -> ``(batch, width)``."""
-        return self.replay.observe() if self._named_parts else self.replay.observe_flat()
+        return self._dressed(self.replay.observe_flat())
 
     def scene_names(self, mask: NDArray[np.bool_]) -> NDArray[Any]:
         """Names ``(batch,)`` of the scenes being played where ``mask`` is True, None elsewhere."""
@@ -118,7 +116,7 @@ class Session:
         names[which] = self._names[self.replay.state["scene"][which]]
         return names
 
-    def _build_replay(self, recordings: Recordings) -> Replay:
+    def _build_replay(self, recordings: Recordings, keep_trajectories: bool) -> Replay:
         s = self.settings
         return Replay(
             recordings,
@@ -128,7 +126,19 @@ class Session:
             lost=s.lost,
             privileged=s.privileged,
             quantities=PAPER if s.observation in ("paper", "pixels") else RICH,
+            keep_trajectories=keep_trajectories,
         )
+
+    def _step(self, actions: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float64], int]:
+        report = np.empty(self._report_shape)
+        flat = np.empty(self._flat_shape, np.float32)
+        ended = play(actions, report, flat, *self._game)
+        if ended < 0:
+            self.rule.complain(actions)
+        return flat, report, ended
+
+    def _dressed(self, flat: NDArray[np.float32]) -> Observation:
+        return self.replay.layout.split(flat) if self._named_parts else flat
 
     def _compiled_arguments(self) -> tuple[NDArray[Any], ...]:
         """What :func:`~mixo_env.envs.stepping.play` takes besides the arrays that are fresh in every step."""

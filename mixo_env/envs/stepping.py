@@ -167,7 +167,7 @@ def advance(
         delivers: ``(batch, experts)`` bool; False silences an expert whatever it recorded.
         increments: ``(rows, experts)``; NaN for experts that do not vote.
         table: ``(rows,)`` STEP.
-        history: ``(batch, longest scene)``; receives the fused increments.
+        history: ``(longest scene, batch)``; receives the fused increments. Empty: they are not kept.
     """
     experts = increments.shape[1]
     for b in range(state.size):
@@ -194,24 +194,33 @@ def advance(
         elif shares:
             fused = fused / total if total > 0.0 else plain / votes
 
-        s.yaw_rad += fused  # eq. 4
+        yaw = s.yaw_rad + fused  # eq. 4
 
         c, n = half_turn(fused)  # eq. 1: the chord points along the yaw in the middle of the step
         east = s.course_cos * c - s.course_sin * n
         north = s.course_sin * c + s.course_cos * n
-        s.x_m += k.distance_m * east
-        s.y_m += k.distance_m * north
+        x = s.x_m + k.distance_m * east
+        y = s.y_m + k.distance_m * north
+
+        error = fused - k.truth_rad
+        yaw_error = yaw - k.truth_yaw_rad
+        position_error = (x - k.truth_x_m) ** 2 + (y - k.truth_y_m) ** 2
+        rate = fused / k.dt_s
+        linear_error = k.linear_error_rad
+
+        s.yaw_rad, s.x_m, s.y_m = yaw, x, y
         s.course_cos = east * c - north * n
         s.course_sin = north * c + east * n
-
-        s.increment_rad = history[b, s.step] = fused
-        s.previous_yaw_rate = fused / k.dt_s
-        s.error_rad = fused - k.truth_rad
-        s.linear_error_rad = k.linear_error_rad
-        s.position_error_m2 = (s.x_m - k.truth_x_m) ** 2 + (s.y_m - k.truth_y_m) ** 2
-        s.sum_error_rad2 += s.error_rad**2
-        s.sum_yaw_error_rad2 += (s.yaw_rad - k.truth_yaw_rad) ** 2
-        s.sum_position_error_m2 += s.position_error_m2
+        if history.size:
+            history[s.step, b] = fused
+        s.increment_rad = fused
+        s.previous_yaw_rate = rate
+        s.error_rad = error
+        s.linear_error_rad = linear_error
+        s.position_error_m2 = position_error
+        s.sum_error_rad2 += error * error
+        s.sum_yaw_error_rad2 += yaw_error * yaw_error
+        s.sum_position_error_m2 += position_error
         s.step += 1
         if row + 1 == s.stop:
             s.done = True

@@ -14,7 +14,7 @@ import msgspec
 
 from mixo_env.errors import DatasetError
 
-BLOCK_BYTES = 16 * 2**20
+BLOCK_BYTES = 2 * 2**20
 
 Row = TypeVar("Row", bound=msgspec.Struct)
 

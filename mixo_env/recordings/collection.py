@@ -82,6 +82,10 @@ class Recordings:
         i = self.index(scene) if isinstance(scene, str) else scene
         return {name: values[self.offsets[i] : self.offsets[i + 1]] for name, values in self._columns.items()}
 
+    def replace(self, manifest: Manifest | None = None, columns: Mapping[str, Column] | None = None) -> Recordings:
+        """The same scenes with another manifest, or with columns added or exchanged; the rest is shared."""
+        return Recordings(manifest or self.manifest, self._columns | dict(columns or {}))
+
     def select(
         self,
         *,

@@ -72,4 +72,4 @@ def with_fits(recordings: Recordings) -> Recordings:
             held_out: dict(zip(voters, map(float, values), strict=True)) for held_out, values in fitted.items()
         }
     manifest = replace(recordings.manifest, linear_weights=weights, reward_scale_rad=scales)
-    return Recordings(manifest, {name: recordings[name] for name in recordings.column_names})
+    return recordings.replace(manifest)

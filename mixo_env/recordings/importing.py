@@ -76,5 +76,4 @@ def with_imported(recordings: Recordings, expert: str, trajectories: Mapping[str
         except TrajectoryError as error:
             raise TrajectoryError(f"{expert}, {name}: {error}") from None
     manifest = replace(recordings.manifest, imported=(*recordings.manifest.imported, expert))
-    columns = {name: recordings[name] for name in recordings.column_names}
-    return with_fits(Recordings(manifest, columns | {f"{expert}.yaw_increment_rad": increments}))
+    return with_fits(recordings.replace(manifest, {f"{expert}.yaw_increment_rad": increments}))

@@ -16,7 +16,7 @@ import numpy as np
 
 from mixo_env.nuscenes.scene import Scene, Signal
 
-SOFTWARE = ("mixo-env", "numpy", "numba", "llvmlite", "opencv-python-headless", "filterpy", "simplejpeg", "pyarrow")
+SOFTWARE = ("mixo-env", "numpy", "numba", "llvmlite", "filterpy", "simplejpeg", "pyarrow")
 """Packages whose version can change a recorded value."""
 
 _CODE = ("geometry.py", "experts", "nuscenes", "recordings")
@@ -24,8 +24,11 @@ _SUFFIXES = (".py", ".npz", ".json")
 
 
 def software_versions() -> dict[str, str]:
-    """Version of Python and of each package of ``SOFTWARE``."""
-    return {"python": platform.python_version()} | {package: version(package) for package in SOFTWARE}
+    """Versions of Python, OpenCV (whatever package it came in) and the packages of ``SOFTWARE``."""
+    import cv2
+
+    versions = {"python": platform.python_version(), "cv2": cv2.__version__}
+    return versions | {package: version(package) for package in SOFTWARE}
 
 
 def code_hash() -> str:

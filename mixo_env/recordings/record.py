@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterator
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, Protocol, cast
@@ -32,9 +32,10 @@ from mixo_env.recordings.folds import FOLD_RULES, OUT_OF_DISTRIBUTION, with_fold
 from mixo_env.recordings.parts import Part, PartFolder, finished_parts
 from mixo_env.recordings.processes import processes
 from mixo_env.recordings.provenance import configuration_hash, inputs_hash, software_versions
-from mixo_env.recordings.schema import INERTIAL_EXPERTS, SCHEMA_VERSION, Manifest, SceneEntry, VehicleConstants
+from mixo_env.recordings.schema import INERTIAL_EXPERTS, SCHEMA_VERSION, Manifest, SceneEntry
 from mixo_env.recordings.steps import Columns, Experts, record_scene
 from mixo_env.recordings.store import TIMINGS_FILE, load_recordings, save_recordings, write_columns
+from mixo_env.recordings.vehicles import training_constants
 
 logger = logging.getLogger(__name__)
 
@@ -182,29 +183,32 @@ def record(
         raise DatasetError(f"none of {len(names)} scenes could be recorded; the first, {names[0]}: {skipped[names[0]]}")
 
     ordered = [parts[name] for name in names if name in parts]
-    parameters = config.parameters() | {
-        "configuration": configuration,
-        "dataset": dataset.version,
-        "folds": config.folds,
-        "inputs": {part.entry.name: part.inputs for part in ordered},
-        "skipped": {name: skipped[name] for name in sorted(skipped)},
-    }
-    manifest = Manifest(
-        data_version=config.data_version or dataset.version,
-        cameras=config.cameras,
-        inertial=INERTIAL_EXPERTS,
-        imported=(),
-        scenes=with_folds([part.entry for part in ordered], config.folds),
-        parameters=parameters,
-        software=software_versions(),
-        vehicles={part.entry.vehicle: VehicleConstants() for part in ordered},
-        camera_cost_ms=dict.fromkeys(config.cameras, CAMERA_COST_MS),
-    )
-    save_recordings(with_fits(Recordings(manifest, _joined([part.columns for part in ordered]))), out)
+    provenance = {"configuration": configuration, "dataset": dataset.version, "skipped": dict(sorted(skipped.items()))}
+    save_recordings(_assemble(ordered, config, dataset.version, provenance), out)
     timings = _joined([part.timings for part in ordered])
     write_columns(out / TIMINGS_FILE, timings, [len(timings["timestamp_us"])])
     folder.remove()
     return load_recordings(out)
+
+
+def _assemble(parts: list[Part], config: RecordConfig, version: str, provenance: dict[str, Any]) -> Recordings:
+    """One recording with folds, vehicle constants and fits; value hashes are added when it is saved."""
+    scenes = with_folds([part.entry for part in parts], config.folds)
+    manifest = Manifest(
+        data_version=config.data_version or version,
+        cameras=config.cameras,
+        inertial=INERTIAL_EXPERTS,
+        imported=(),
+        scenes=scenes,
+        parameters=config.parameters()
+        | provenance
+        | {"folds": config.folds, "inputs": {part.entry.name: part.inputs for part in parts}},
+        software=software_versions(),
+        camera_cost_ms=dict.fromkeys(config.cameras, CAMERA_COST_MS),
+    )
+    recordings = Recordings(manifest, _joined([part.columns for part in parts]))
+    vehicles = training_constants(recordings)
+    return with_fits(recordings.replace(replace(manifest, vehicles=vehicles)))
 
 
 def _record_one(

@@ -76,6 +76,8 @@ def record_scene(scene: Scene, experts: Experts) -> tuple[Columns, Columns]:
     if scene.can_bus is None:
         raise DatasetError("no CAN bus: distance and inertial odometry need wheel speeds and an IMU")
     rounds = firing_rounds({camera: track.timestamp_us for camera, track in scene.cameras.items()})
+    if len(rounds) < 2:
+        raise DatasetError("expected at least two firing rounds, got one: a step needs a start")
     closing = rounds.closing_time_us
     columns = empty_columns(len(rounds), rounds.cameras, INERTIAL_EXPERTS)
     columns["step"][:] = np.arange(len(rounds))

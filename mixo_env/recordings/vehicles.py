@@ -6,14 +6,18 @@ training folds: the poses of a scene that is scored may check them, never correc
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+import logging
+from collections.abc import Collection, Iterable, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mixo_env.errors import RecordingError
 from mixo_env.recordings.collection import Recordings
-from mixo_env.recordings.schema import VehicleConstants
+from mixo_env.recordings.schema import SPLITS, VehicleConstants
+
+logger = logging.getLogger(__name__)
 
 LEAST_DISTANCE_M = 50.0
 """A vehicle that drove less in the training scenes gets the constants of all of them together."""
@@ -59,3 +63,39 @@ def fit_vehicle_constants(training: Recordings, vehicles: Iterable[str]) -> dict
         name: fit(own if true_m[own := owner == name].sum() >= LEAST_DISTANCE_M else everyone)
         for name in dict.fromkeys(vehicles)
     }
+
+
+def training_constants(recordings: Recordings) -> dict[str, VehicleConstants]:
+    """Constants for all vehicles of a recording, fitted on its split "train": what its manifest holds."""
+    return _fitted_or_nominal(recordings, SPLITS["train"], [scene.vehicle for scene in recordings.scenes])
+
+
+def with_held_out_constants(recordings: Recordings) -> Recordings:
+    """The recordings as cross-validation must see them: no scene's constants are fitted on its own fold.
+
+    Every vehicle is entered once per fold it drives in, as ``"<vehicle> in fold <fold>"``, with constants from the
+    other folds (a night scene, in fold -1: from all folds). With fewer than two folds nothing changes.
+    """
+    folds = sorted({scene.fold for scene in recordings.scenes if scene.fold >= 0})
+    if len(folds) < 2:
+        return recordings
+    constants: dict[str, VehicleConstants] = {}
+    for fold in {scene.fold for scene in recordings.scenes}:
+        names = [scene.vehicle for scene in recordings.scenes if scene.fold == fold]
+        fitted = _fitted_or_nominal(recordings, [other for other in folds if other != fold], names)
+        constants |= {f"{name} in fold {fold}": values for name, values in fitted.items()}
+    scenes = tuple(replace(scene, vehicle=f"{scene.vehicle} in fold {scene.fold}") for scene in recordings.scenes)
+    manifest = replace(recordings.manifest, scenes=scenes, vehicles=constants)
+    return recordings.replace(manifest)
+
+
+def _fitted_or_nominal(
+    recordings: Recordings, folds: Collection[int], vehicles: Sequence[str]
+) -> dict[str, VehicleConstants]:
+    """Constants fitted on ``folds``; nominal ones where those hold no scene or hardly move."""
+    if any(scene.fold in folds for scene in recordings.scenes):
+        try:
+            return fit_vehicle_constants(recordings.select(folds=tuple(folds)), vehicles)
+        except RecordingError as error:
+            logger.info("nominal vehicle constants: %s", error)
+    return dict.fromkeys(vehicles, VehicleConstants())

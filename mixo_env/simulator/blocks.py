@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mixo_env.simulator import furniture
-from mixo_env.simulator.mesh import SHADE, Mesh, placed, quad
+from mixo_env.simulator.materials import KERB_M, Materials
+from mixo_env.simulator.mesh import SHADE, Mesh, joined, mesh_of, placed, quad
 from mixo_env.simulator.shadows import Shadows
 from mixo_env.simulator.streets import BLOCK_M, HALF_ROAD_M, PARKING_M, SIDEWALK_M
 from mixo_env.simulator.vehicle_models import ground_aligned
@@ -32,6 +33,8 @@ class City:
     Attributes:
         materials: surfaces.
         trees: meshes at the origin with height and radius of their crowns.
+        lamp: mesh of a street lamp at the origin, its arm towards -y.
+        traffic_light: mesh at the origin.
         vehicles: meshes of vehicles, by kind and colour.
         shadows: collects what throws shadows.
         blank_walls: share of plots with a windowless building.
@@ -40,8 +43,10 @@ class City:
         groups: collects the meshes, map frame.
     """
 
-    materials: furniture.Materials
+    materials: Materials
     trees: list[tuple[Mesh, float, float]]
+    lamp: Mesh
+    traffic_light: Mesh
     vehicles: dict[tuple[str, int], Mesh]
     shadows: Shadows
     blank_walls: float
@@ -82,13 +87,14 @@ def _frame(column: int, row: int, side: int) -> _Frame:
 def build_pavement(city: City, column: int, row: int) -> None:
     """The raised ground of one block with its kerbs."""
     west, south, wide = column * BLOCK_M + HALF_ROAD_M, row * BLOCK_M + HALF_ROAD_M, BLOCK_M - 2.0 * HALF_ROAD_M
-    top = quad(city.materials.ground, (west, south + wide, furniture.KERB_M), (wide, 0, 0), (0, -wide, 0))
-    parts = [ground_aligned(top, city.materials.ground.texels_per_m[0])]
+    ground = city.materials.ground
+    top = mesh_of([quad(ground, (west, south + wide, KERB_M), (wide, 0.0, 0.0), (0.0, -wide, 0.0))])
+    parts = [ground_aligned(top, ground.texels_per_m[0])]
     kerb = city.materials.kerbs[int((column * 7 + row * 3) % 5 == 0)]
     for side in range(4):
-        face = quad(kerb, (_KERB_Y, _KERB_Y, furniture.KERB_M), (wide, 0, 0), (0, 0, -furniture.KERB_M))
-        parts.append(_frame(column, row, side).put(face))
-    city.groups.append(np.concatenate(parts))
+        face = quad(kerb, (_KERB_Y, _KERB_Y, KERB_M), (wide, 0.0, 0.0), (0.0, 0.0, -KERB_M))
+        parts.append(_frame(column, row, side).put(mesh_of([face])))
+    city.groups.append(joined(parts))
 
 
 def build_side(city: City, column: int, row: int, side: int, rng: np.random.Generator, park: bool, blank: bool) -> None:
@@ -96,7 +102,8 @@ def build_side(city: City, column: int, row: int, side: int, rng: np.random.Gene
 
     Args:
         city: materials in, meshes out.
-        column, row: block between the streets ``column``, ``column + 1`` in x and ``row``, ``row + 1`` in y.
+        column: the block lies between the streets ``column`` and ``column + 1`` in x,
+        row: and between ``row`` and ``row + 1`` in y.
         side: number in ``SIDES``.
         rng: of this side alone.
         park: gardens instead of houses.
@@ -151,7 +158,7 @@ def _tree(city: City, frame: _Frame, x_m: float, y_m: float, rng: np.random.Gene
 def _pavement_furniture(city: City, frame: _Frame, rng: np.random.Generator, sparse: bool) -> None:
     materials = city.materials
     for x in np.arange(9.0, FRONT_M, 24.0) + rng.uniform(-1.0, 1.0):
-        city.groups.append(frame.put(furniture.street_lamp(materials, rng), float(x), -2.95))
+        city.groups.append(frame.put(city.lamp, float(x), -2.95))
         city.shadows.prism(frame.rectangle((x - 0.1, x + 0.1), (-3.05, -2.85)), furniture.LAMP_M)
         city.lamps.append(frame.points(np.array([[x, -4.85]]))[0])
     trees = rng.uniform(0.15, 0.55)
@@ -171,7 +178,7 @@ def _pavement_furniture(city: City, frame: _Frame, rng: np.random.Generator, spa
         position += float(rng.uniform(3.5, 9.0))
     for x in (_KERB_Y + 0.5, FRONT_M - _KERB_Y - 0.5):  # near the two crossings
         if x < 0:
-            city.groups.append(frame.put(furniture.traffic_light(materials, rng), x, _KERB_Y + 0.5))
+            city.groups.append(frame.put(city.traffic_light, x, _KERB_Y + 0.5))
             city.shadows.prism(frame.rectangle((x - 0.1, x + 0.1), (_KERB_Y + 0.4, _KERB_Y + 0.6)), 3.6)
 
 
@@ -200,16 +207,3 @@ def standing(model: Mesh, frame: _Frame, x_m: float, y_m: float, yaw_rad: float,
     under = mesh["material"] == SHADE
     mesh[under] = ground_aligned(mesh[under], ground_texels_per_m)
     return mesh
-
-
-def dimmed(materials: furniture.Materials, factor: float) -> furniture.Materials:
-    """The same materials with fine grain scaled by ``factor``: below 1 the city has little texture."""
-
-    def plainer(value: object) -> object:
-        if isinstance(value, tuple):
-            return tuple(plainer(item) for item in value)
-        if isinstance(value, furniture.Surface):
-            return replace(value, detail=factor * value.detail)
-        return value
-
-    return furniture.Materials(**{name: plainer(value) for name, value in vars(materials).items()})  # pyright: ignore[reportArgumentType]

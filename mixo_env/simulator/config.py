@@ -69,9 +69,7 @@ class SimulationConfig:
     height: int = 450
     """Image height [px]."""
     cameras: tuple[str, ...] = CAMERAS
-    """Channels to write: the paper's four by default."""
-    all_cameras: bool = False
-    """Write all six cameras of the car."""
+    """Channels to write: the paper's four by default, at most all six of the car."""
     images: bool = True
     """Without images everything but the pixels is written: CAN bus, poses and tables, in seconds."""
     rain: float = 0.2
@@ -105,11 +103,6 @@ class SimulationConfig:
             raise ConfigurationError(f"cameras must be given once each, got {', '.join(self.cameras) or 'none'}")
         _check_shares("weather", {"rain": self.rain, "night": self.night})
         _check_shares("log", {"low_texture": self.low_texture})
-
-    @property
-    def channels(self) -> tuple[str, ...]:
-        """Cameras that are written, in nuScenes order if all six."""
-        return ALL_CAMERAS if self.all_cameras else self.cameras
 
     @property
     def logs(self) -> int:

@@ -49,7 +49,7 @@ def _place(states, models, size, source, target, texels_per_m, sun, shadows):
                 under = p
             q += 1
         if shadows:
-            # The sun shadow of a box is its plan swept along the ground: the plan where the sweep ends and two parallelograms.
+            # The sun shadow of a box is its plan swept along the ground: the plan where it ends, two parallelograms.
             length, width, tall = size[m, 0], size[m, 1], size[m, 2]
             rx, ry = -tall * sun[0] / sun[2], -tall * sun[1] / sun[2]
             ux, uy, vx, vy = c * length, s * length, s * width, -c * width  # along the vehicle and to its right
@@ -103,7 +103,7 @@ class Fleet:
         self._source = (models.group_start, models.geometry, models.texel, models.look, models.tag, models.groups)
         self._counts = np.diff(models.group_start) + _SWEEPS * shadows
         kinds = [VEHICLE_KINDS[kind] for kind, _ in world.vehicles]
-        self._size = np.array([(0.96 * k.length_m, 0.96 * k.width_m, 0.85 * k.height_m) for k in kinds])
+        self._size = np.array([(0.96 * k.length_m, 0.96 * k.width_m, 0.85 * k.height_m) for k in kinds]).reshape(-1, 3)
         self._world, self._shadows = world, shadows
 
     def placed(self, vehicles: Sequence[VehicleState]) -> PatchSet:

@@ -7,11 +7,13 @@ moving and joining meshes are plain array operations.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from mixo_env.geometry import rotation_from_yaw
 from mixo_env.simulator.textures import DETAIL_SIDE
@@ -39,7 +41,11 @@ PATCH = np.dtype(
 Mesh = np.ndarray
 """Array ``(n,)`` of :data:`PATCH`."""
 
-Span = tuple[float, float]
+Patch = tuple[Any, ...]
+"""One row of a mesh, in the order of :data:`PATCH`."""
+
+Pair = tuple[float, float]
+Vector = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
@@ -68,53 +74,81 @@ class Surface:
 
 def quad(
     surface: Surface,
-    origin: ArrayLike,
-    edge_u: ArrayLike,
-    edge_v: ArrayLike,
-    start: tuple[float, float] = (0.0, 0.0),
-    grain: tuple[float, float] = (0.0, 0.0),
-) -> Mesh:
+    origin: Vector,
+    edge_u: Vector,
+    edge_v: Vector,
+    start: Pair = (0.0, 0.0),
+    grain: Pair = (0.0, 0.0),
+) -> Patch:
     """One patch; ``start`` is the texel at the origin, ``grain`` the same for the fine grain."""
-    mesh = np.zeros(1, PATCH)
-    patch = mesh[0]
-    u, v = np.asarray(edge_u, np.float64), np.asarray(edge_v, np.float64)
     per_u, per_v = surface.texels_per_m
-    patch["origin"], patch["edge_u"], patch["edge_v"] = origin, u, v
-    patch["texel"] = (per_u * np.sqrt(u @ u), 0.0, start[0], 0.0, per_v * np.sqrt(v @ v), start[1])
     per_m = DETAIL_SIDE / surface.detail_m
-    patch["detail"] = (per_m / per_u, per_m / per_v, *grain, surface.detail)
-    patch["tint"], patch["emission"] = surface.tint, surface.emission
-    patch["shape"], patch["material"], patch["texture"] = surface.shape, surface.material, surface.texture
-    return mesh
+    return (
+        origin,
+        edge_u,
+        edge_v,
+        (per_u * math.hypot(*edge_u), 0.0, start[0], 0.0, per_v * math.hypot(*edge_v), start[1]),
+        (per_m / per_u, per_m / per_v, *grain, surface.detail),
+        surface.tint,
+        surface.emission,
+        surface.shape,
+        surface.material,
+        surface.texture,
+    )
 
 
 def box(
     walls: Surface,
     top: Surface | None,
-    x: Span,
-    y: Span,
-    z: Span,
+    x: Pair,
+    y: Pair,
+    z: Pair,
     rng: np.random.Generator,
-    start: tuple[float, float] | None = None,
-) -> Mesh:
+    start: Pair | None = None,
+) -> list[Patch]:
     """Upright box without a floor: four walls and, if given, a top.
 
     Args:
-        walls, top: how they look.
-        x, y, z: extent on each axis in metres.
+        walls: how its sides look.
+        top: how its top looks.
+        x: extent in metres.
+        y: extent in metres.
+        z: extent in metres.
         rng: starts textures at random texels.
         start: texel at the upper left corner of every wall, if it is not to be random.
     """
-    corners = np.array([(x[0], y[0]), (x[1], y[0]), (x[1], y[1]), (x[0], y[1])])
-    down = (0.0, 0.0, z[0] - z[1])
-    parts = []
-    for here, there in zip(corners, np.roll(corners, -1, axis=0), strict=True):
-        offset, grain = rng.uniform(0.0, DETAIL_SIDE, (2, 2)).tolist()
-        parts.append(quad(walls, (*here, z[1]), (*(there - here), 0.0), down, start or tuple(offset), tuple(grain)))
+    (x0, x1), (y0, y1), (z0, z1) = x, y, z
+    wide, deep, down = x1 - x0, y1 - y0, (0.0, 0.0, z0 - z1)
+    sides = (
+        ((x0, y0, z1), (wide, 0.0, 0.0)),
+        ((x1, y0, z1), (0.0, deep, 0.0)),
+        ((x1, y1, z1), (-wide, 0.0, 0.0)),
+        ((x0, y1, z1), (0.0, -deep, 0.0)),
+    )
+    texels = rng.uniform(0.0, DETAIL_SIDE, (5, 4)).tolist()
+    patches = [
+        quad(walls, corner, edge, down, start or (tu, tv), (gu, gv))
+        for (corner, edge), (tu, tv, gu, gv) in zip(sides, texels, strict=False)
+    ]
     if top is not None:
-        grain = tuple(rng.uniform(0.0, DETAIL_SIDE, 2).tolist())
-        parts.append(quad(top, (x[0], y[1], z[1]), (x[1] - x[0], 0.0, 0.0), (0.0, y[0] - y[1], 0.0), grain, grain))
-    return np.concatenate(parts)
+        tu, tv, gu, gv = texels[4]
+        patches.append(quad(top, (x0, y1, z1), (wide, 0.0, 0.0), (0.0, -deep, 0.0), (tu, tv), (gu, gv)))
+    return patches
+
+
+def mesh_of(patches: Sequence[Patch]) -> Mesh:
+    """The patches as one array."""
+    return np.array(patches, PATCH)
+
+
+def joined(meshes: Sequence[Mesh]) -> Mesh:
+    """All meshes in one array (``np.concatenate`` takes ages over named fields)."""
+    out = np.empty(sum(len(mesh) for mesh in meshes), PATCH)
+    start = 0
+    for mesh in meshes:
+        out[start : start + len(mesh)] = mesh
+        start += len(mesh)
+    return out
 
 
 def placed(mesh: Mesh, x_m: float, y_m: float, yaw_rad: float, z_m: float = 0.0, scale: float = 1.0) -> Mesh:
@@ -164,7 +198,7 @@ def packed(groups: Sequence[Mesh], sun: NDArray[np.float64], bodies: Sequence[in
     """
     sizes = [len(group) for group in groups]
     start = np.concatenate([[0], np.cumsum(sizes)]).astype(np.int64)
-    mesh = np.concatenate(groups) if groups else np.zeros(0, PATCH)
+    mesh = joined(groups)
     normal = normals(mesh)
     facing = normal @ sun
     two_sided = (mesh["shape"] & (TWO_SIDED | CUT_OUT)) != 0

@@ -1,9 +1,12 @@
 """Which patch is seen at each pixel, and how deep: a z-buffer of 1/z filled span by span.
 
 For a patch p + s u + t v in camera coordinates and the ray d = (X, Y, 1) of a pixel, Cramer's rule gives
-s/z = (v x p).d / det, t/z = (p x u).d / det and 1/z = (u x v).d / det with det = (u x v).p. All three are linear in the pixel's
-column and row: perspective is exact, patches need no cutting at the image plane, and the derivatives that choose the
-reduction of the texture are known in closed form.
+s/z = (v x p).d / det, t/z = (p x u).d / det and 1/z = (u x v).d / det with det = (u x v).p. All three are linear in
+the pixel's column and row: perspective is exact, patches need no cutting at the image plane, and the derivatives that
+choose the reduction of the texture are known in closed form.
+
+Groups of patches are drawn from near to far in a few shells. Before each shell, groups that lie behind what is already
+drawn are dropped: in a street most of the city is hidden by the first row of houses.
 """
 
 from __future__ import annotations
@@ -12,18 +15,38 @@ import numpy as np
 from numba import float32, njit
 from numpy.typing import NDArray
 
-from mixo_env.simulator.mesh import CUT_OUT, TRIANGLE, TWO_SIDED
+from mixo_env.simulator.mesh import CUT_OUT, TRIANGLE, TWO_SIDED, PatchSet
 
 NEAR_M = 0.2
 """Nothing nearer to the camera plane is drawn."""
 
-_ALPHA_SHIFT = 24
+SHELLS_M = (15.0, 30.0, 60.0)
+"""Distances at which hidden groups are looked for again."""
+
+_TILE = 8
 _EMPTY = 1e-14
+_OPAQUE = 110  # of 255
 
 
 @njit(cache=True, error_model="numpy")
-def visible_groups(groups, rotation, position, lens, width, height, far, out_depth, out_group):
-    """Groups whose bounding sphere meets the view and covers at least a pixel; their depths and numbers, returns how many."""
+def _visible_groups(groups, rotation, position, lens, width, height, far, nearest, number, tiles):
+    """Groups whose bounding sphere meets the view and covers at least a pixel.
+
+    Args:
+        groups: ``(g, 4)`` spheres.
+        rotation: ``(3, 3)`` camera from map.
+        position: ``(3,)`` camera centre.
+        lens: fx, fy, cx, cy.
+        width: of the picture.
+        height: of the picture.
+        far: limit in metres.
+        nearest: ``(g,)`` out: smallest distance along the optical axis.
+        number: ``(g,)`` out: number of the group.
+        tiles: ``(g, 4)`` out: first and last column, first and last row of tiles that the sphere can touch.
+
+    Returns:
+        How many.
+    """
     fx, fy, cx, cy = lens[0], lens[1], lens[2], lens[3]
     left, right, up, down = cx / fx, (width - cx) / fx, cy / fy, (height - cy) / fy
     slant_left, slant_right = np.sqrt(1.0 + left * left), np.sqrt(1.0 + right * right)
@@ -31,79 +54,126 @@ def visible_groups(groups, rotation, position, lens, width, height, far, out_dep
     count = 0
     for g in range(groups.shape[0]):
         dx, dy, dz = groups[g, 0] - position[0], groups[g, 1] - position[1], groups[g, 2] - position[2]
-        radius = groups[g, 3]
+        r = groups[g, 3]
         z = rotation[2, 0] * dx + rotation[2, 1] * dy + rotation[2, 2] * dz
-        if z < NEAR_M - radius or z > far + radius or 2.0 * radius * fx < z:
+        if z < NEAR_M - r or z > far + r or 2.0 * r * fx < z:
             continue
         x = rotation[0, 0] * dx + rotation[0, 1] * dy + rotation[0, 2] * dz
-        if x < -z * left - radius * slant_left or x > z * right + radius * slant_right:
+        if x < -z * left - r * slant_left or x > z * right + r * slant_right:
             continue
         y = rotation[1, 0] * dx + rotation[1, 1] * dy + rotation[1, 2] * dz
-        if y < -z * up - radius * slant_up or y > z * down + radius * slant_down:
+        if y < -z * up - r * slant_up or y > z * down + r * slant_down:
             continue
-        out_depth[count] = z - radius
-        out_group[count] = g
+        nearest[count] = z - r
+        number[count] = g
+        tiles[count, 0], tiles[count, 1], tiles[count, 2], tiles[count, 3] = 0, width - 1, 0, height - 1
+        if z - r > NEAR_M:
+            near, deep = z - r, z + r
+            tiles[count, 0] = max(0, int((x - r) / (deep if x > r else near) * fx + cx))
+            tiles[count, 1] = min(width - 1, int((x + r) / (near if x > -r else deep) * fx + cx) + 1)
+            tiles[count, 2] = max(0, int((y - r) / (deep if y > r else near) * fy + cy))
+            tiles[count, 3] = min(height - 1, int((y + r) / (near if y > -r else deep) * fy + cy) + 1)
+        for j in range(4):
+            tiles[count, j] //= _TILE
         count += 1
     return count
 
 
 @njit(cache=True, error_model="numpy")
-def draw_groups(
-    order,
-    group_start,
-    geometry,
-    texel,
-    tag,
-    look,
-    rotation,
-    position,
-    lens,
-    far,
-    texels,
-    table,
-    depth,
-    owner,
-    plane,
-    style,
-    mark,
-    slot,
-):
-    """Draw the patches of the groups ``order`` into ``depth`` and ``owner``.
+def _farthest(depth, out):
+    """Smallest 1/z of every tile of ``_TILE`` x ``_TILE`` pixels."""
+    height, width = depth.shape
+    out[:] = float32(1e9)
+    for y in range(height):
+        for x in range(width):
+            out[y // _TILE, x // _TILE] = min(out[y // _TILE, x // _TILE], depth[y, x])
 
-    Args:
-        order: numbers of the groups, nearest first.
-        group_start, geometry, texel, tag, look: of a ``PatchSet``.
-        rotation: ``(3, 3)`` camera from map.
-        position: ``(3,)`` camera centre, map frame, metres.
-        lens: fx, fy, cx, cy in pixels; pixel centres at whole numbers.
-        far: nothing farther than this many metres is drawn.
-        texels, table: of the atlas.
-        depth: ``(h, w)`` float32 1/z, 0 where nothing is seen; updated.
-        owner: ``(h, w)`` int32 slot seen at the pixel, -1 for the sky; updated.
-        plane: ``(slots, 9)`` float64 out: texel column/z, texel row/z and 1/z as constant, per column and per row of pixels.
-        style, mark: ``(slots, 13)`` and ``(slots, 4)`` out: ``look`` and ``tag`` of the slot's patch.
-        slot: first free slot.
 
-    Returns:
-        The next free slot. Only patches that cover a pixel centre take one.
-    """
+@njit(cache=True, error_model="numpy")
+def _not_hidden(farthest, nearest, tiles, chosen):
+    """Those of ``chosen`` (indices into the lists of ``_visible_groups``) that may be seen."""
+    kept = np.empty_like(chosen)
+    count = 0
+    for i in chosen:
+        seen = nearest[i] <= NEAR_M
+        row = tiles[i, 2]
+        while row <= tiles[i, 3] and not seen:
+            for column in range(tiles[i, 0], tiles[i, 1] + 1):
+                if farthest[row, column] * nearest[i] < 1.0:
+                    seen = True
+                    break
+            row += 1
+        if seen:
+            kept[count] = i
+            count += 1
+    return kept[:count]
+
+
+@njit(cache=True, error_model="numpy")
+def _rows(corner, corners, fy, cy, height):
+    """First and last pixel row that the polygon's part before the camera can touch."""
+    lowest, highest = 1e9, -1e9
+    for j in range(corners):
+        k = j + 1 if j + 1 < corners else 0
+        here, there = corner[j, 2], corner[k, 2]
+        if here > NEAR_M:
+            row = corner[j, 1] / here * fy + cy
+            lowest, highest = min(lowest, row), max(highest, row)
+        if (here > NEAR_M) != (there > NEAR_M):
+            f = (NEAR_M - here) / (there - here)
+            row = (corner[j, 1] + f * (corner[k, 1] - corner[j, 1])) / NEAR_M * fy + cy
+            lowest, highest = min(lowest, row), max(highest, row)
+    return max(0, int(np.ceil(max(lowest, 0.0)))), int(np.floor(min(highest, height - 1.0)))
+
+
+@njit(cache=True, error_model="numpy")
+def _fill_cut_out(plane, slot, row, begin, end, number, texels, table, depth, owner):
+    """Like the plain fill, but only where the texture covers; one reduction per row."""
+    p0, p1, p2 = plane[slot, 0] + plane[slot, 2] * row, plane[slot, 1], plane[slot, 2]
+    q0, q1, q2 = plane[slot, 3] + plane[slot, 5] * row, plane[slot, 4], plane[slot, 5]
+    w0, w1, w2 = plane[slot, 6] + plane[slot, 8] * row, plane[slot, 7], plane[slot, 8]
+    middle = 0.5 * (begin + end)
+    iz = 1.0 / (w0 + w1 * middle)
+    u, v = (p0 + p1 * middle) * iz, (q0 + q1 * middle) * iz
+    ratio = max(abs(p1 - u * w1) + abs(q1 - v * w1), abs(p2 - u * w2) + abs(q2 - v * w2)) * iz
+    level, reduce = 0, 1.0
+    while ratio > 1.4 and level < 6:
+        ratio *= 0.5
+        reduce *= 0.5
+        level += 1
+    start, log_w, log_h = table[number, level, 0], table[number, level, 1], table[number, level, 2]
+    mask_w, mask_h = (1 << log_w) - 1, (1 << log_h) - 1
+    for column in range(begin, end + 1):
+        w = w0 + w1 * column
+        if float32(w) > depth[row, column]:
+            iz = reduce / w
+            tu = int(np.floor((p0 + p1 * column) * iz)) & mask_w
+            tv = int(np.floor((q0 + q1 * column) * iz)) & mask_h
+            if texels[start + (tv << log_w) + tu] >> 24 > _OPAQUE:
+                depth[row, column] = float32(w)
+                owner[row, column] = slot
+
+
+@njit(cache=True, error_model="numpy")
+def _draw(
+    order, group_start, geometry, texel, look, tag, rotation, position, lens, far, texels, table, depth, owner,
+    plane, style, mark, slot,
+):  # fmt: skip
+    """Draw the patches of the groups ``order``; see :func:`draw_patches` for the arrays. Returns the next free slot."""
     height, width = depth.shape
     fx, fy, cx, cy = lens[0], lens[1], lens[2], lens[3]
-    left, right, up, down = cx / fx, (width - cx) / fx, cy / fy, (height - cy) / fy
-    slant_x = np.sqrt(1.0 + max(left, right) ** 2)
-    slant_y = np.sqrt(1.0 + max(up, down) ** 2)
+    slant_x = np.sqrt(1.0 + max(cx / fx, (width - cx) / fx) ** 2)
+    slant_y = np.sqrt(1.0 + max(cy / fy, (height - cy) / fy) ** 2)
     corner = np.empty((4, 3))
-    edge = np.empty((6, 3))  # half-planes: constant + per column * x + per row * y >= 0
-    for index in range(order.shape[0]):
-        g = order[index]
+    half_plane = np.empty((6, 3))  # constant + per column * x + per row * y >= 0
+    for g in order:
         for q in range(group_start[g], group_start[g + 1]):
             dx, dy, dz = geometry[q, 0] - position[0], geometry[q, 1] - position[1], geometry[q, 2] - position[2]
             u0, u1, u2 = geometry[q, 3], geometry[q, 4], geometry[q, 5]
             v0, v1, v2 = geometry[q, 6], geometry[q, 7], geometry[q, 8]
             shape = tag[q, 0]
-            # The plane's side first, in map coordinates: half of all patches end here.
-            normal0, normal1, normal2 = u1 * v2 - u2 * v1, u2 * v0 - u0 * v2, u0 * v1 - u1 * v0
-            det = normal0 * dx + normal1 * dy + normal2 * dz
+            # Which side is seen, in map coordinates: half of all patches end here.
+            det = (u1 * v2 - u2 * v1) * dx + (u2 * v0 - u0 * v2) * dy + (u0 * v1 - u1 * v0) * dz
             if abs(det) < 1e-9 or (det < 0.0 and shape & (TWO_SIDED | CUT_OUT) == 0):
                 continue
             ax, ay, az = abs(u0) + abs(v0), abs(u1) + abs(v1), abs(u2) + abs(v2)
@@ -113,10 +183,10 @@ def draw_groups(
             if z < NEAR_M - radius or z > far + radius or radius * fx < 0.4 * z:
                 continue
             x = rotation[0, 0] * mx + rotation[0, 1] * my + rotation[0, 2] * mz
-            if x < -z * left - radius * slant_x or x > z * right + radius * slant_x:
+            if x < -z * cx / fx - radius * slant_x or x > z * (width - cx) / fx + radius * slant_x:
                 continue
             y = rotation[1, 0] * mx + rotation[1, 1] * my + rotation[1, 2] * mz
-            if y < -z * up - radius * slant_y or y > z * down + radius * slant_y:
+            if y < -z * cy / fy - radius * slant_y or y > z * (height - cy) / fy + radius * slant_y:
                 continue
             px = rotation[0, 0] * dx + rotation[0, 1] * dy + rotation[0, 2] * dz
             py = rotation[1, 0] * dx + rotation[1, 1] * dy + rotation[1, 2] * dz
@@ -128,59 +198,38 @@ def draw_groups(
             vy = rotation[1, 0] * v0 + rotation[1, 1] * v1 + rotation[1, 2] * v2
             vz = rotation[2, 0] * v0 + rotation[2, 1] * v1 + rotation[2, 2] * v2
             triangle = shape & TRIANGLE != 0
-
-            # Rows that the part in front of the camera can touch.
             corner[0, 0], corner[0, 1], corner[0, 2] = px, py, pz
             corner[1, 0], corner[1, 1], corner[1, 2] = px + ux, py + uy, pz + uz
-            corners = 3
+            corner[3, 0], corner[3, 1], corner[3, 2] = px + vx, py + vy, pz + vz
             if triangle:
-                corner[2, 0], corner[2, 1], corner[2, 2] = px + vx, py + vy, pz + vz
+                corner[2] = corner[3]
             else:
-                corners = 4
                 corner[2, 0], corner[2, 1], corner[2, 2] = px + ux + vx, py + uy + vy, pz + uz + vz
-                corner[3, 0], corner[3, 1], corner[3, 2] = px + vx, py + vy, pz + vz
-            lowest, highest = 1e9, -1e9
-            for j in range(corners):
-                k = j + 1 if j + 1 < corners else 0
-                za, zb = corner[j, 2], corner[k, 2]
-                if za > NEAR_M:
-                    row = corner[j, 1] / za * fy + cy
-                    lowest, highest = min(lowest, row), max(highest, row)
-                if (za > NEAR_M) != (zb > NEAR_M):
-                    f = (NEAR_M - za) / (zb - za)
-                    row = (corner[j, 1] + f * (corner[k, 1] - corner[j, 1])) / NEAR_M * fy + cy
-                    lowest, highest = min(lowest, row), max(highest, row)
-            first, last = max(0, int(np.ceil(max(lowest, 0.0)))), int(np.floor(min(highest, height - 1.0)))
+            first, last = _rows(corner, 3 if triangle else 4, fy, cy, height)
             if first > last:
                 continue
 
             i = 1.0 / det
-            a0, a1, a2 = (vy * pz - vz * py) * i, (vz * px - vx * pz) * i, (vx * py - vy * px) * i
-            b0, b1, b2 = (py * uz - pz * uy) * i, (pz * ux - px * uz) * i, (px * uy - py * ux) * i
-            c0, c1, c2 = (uy * vz - uz * vy) * i, (uz * vx - ux * vz) * i, (ux * vy - uy * vx) * i
-            s1, s2 = a0 / fx, a1 / fy
-            t1, t2 = b0 / fx, b1 / fy
-            w1, w2 = c0 / fx, c1 / fy
-            s0, t0, w0 = a2 - s1 * cx - s2 * cy, b2 - t1 * cx - t2 * cy, c2 - w1 * cx - w2 * cy
-            edge[0, 0], edge[0, 1], edge[0, 2] = s0, s1, s2
-            edge[1, 0], edge[1, 1], edge[1, 2] = t0, t1, t2
+            s1, s2, s0 = (vy * pz - vz * py) * i / fx, (vz * px - vx * pz) * i / fy, (vx * py - vy * px) * i
+            t1, t2, t0 = (py * uz - pz * uy) * i / fx, (pz * ux - px * uz) * i / fy, (px * uy - py * ux) * i
+            w1, w2, w0 = (uy * vz - uz * vy) * i / fx, (uz * vx - ux * vz) * i / fy, (ux * vy - uy * vx) * i
+            s0, t0, w0 = s0 - s1 * cx - s2 * cy, t0 - t1 * cx - t2 * cy, w0 - w1 * cx - w2 * cy
+            half_plane[0, 0], half_plane[0, 1], half_plane[0, 2] = s0, s1, s2
+            half_plane[1, 0], half_plane[1, 1], half_plane[1, 2] = t0, t1, t2
+            half_plane[2, 0], half_plane[2, 1], half_plane[2, 2] = w0 - 1.0 / far, w1, w2
+            half_plane[3, 0], half_plane[3, 1], half_plane[3, 2] = 1.0 / NEAR_M - w0, -w1, -w2
+            edges = 6
             if triangle:
-                edge[2, 0], edge[2, 1], edge[2, 2] = w0 - s0 - t0, w1 - s1 - t1, w2 - s2 - t2
-                edge[3, 0], edge[3, 1], edge[3, 2] = 1.0, 0.0, 0.0
+                half_plane[4, 0], half_plane[4, 1], half_plane[4, 2] = w0 - s0 - t0, w1 - s1 - t1, w2 - s2 - t2
+                edges = 5
             else:
-                edge[2, 0], edge[2, 1], edge[2, 2] = w0 - s0, w1 - s1, w2 - s2
-                edge[3, 0], edge[3, 1], edge[3, 2] = w0 - t0, w1 - t1, w2 - t2
-            edge[4, 0], edge[4, 1], edge[4, 2] = w0 - 1.0 / far, w1, w2
-            edge[5, 0], edge[5, 1], edge[5, 2] = 1.0 / NEAR_M - w0, -w1, -w2
-            # Texel coordinates over z share the form of s/z and t/z.
-            m0, m1, m2, m3, m4, m5 = texel[q, 0], texel[q, 1], texel[q, 2], texel[q, 3], texel[q, 4], texel[q, 5]
-            p0, p1, p2 = m0 * s0 + m1 * t0 + m2 * w0, m0 * s1 + m1 * t1 + m2 * w1, m0 * s2 + m1 * t2 + m2 * w2
-            q0, q1, q2 = m3 * s0 + m4 * t0 + m5 * w0, m3 * s1 + m4 * t1 + m5 * w1, m3 * s2 + m4 * t2 + m5 * w2
+                half_plane[4, 0], half_plane[4, 1], half_plane[4, 2] = w0 - s0, w1 - s1, w2 - s2
+                half_plane[5, 0], half_plane[5, 1], half_plane[5, 2] = w0 - t0, w1 - t1, w2 - t2
             taken = False
             for row in range(first, last + 1):
                 low, high = 0.0, width - 1.0
-                for e in range(6):
-                    slope, base = edge[e, 1], edge[e, 0] + edge[e, 2] * row
+                for e in range(edges):
+                    slope, base = half_plane[e, 1], half_plane[e, 0] + half_plane[e, 2] * row
                     if slope > _EMPTY:
                         low = max(low, -base / slope)
                     elif slope < -_EMPTY:
@@ -192,59 +241,96 @@ def draw_groups(
                     continue
                 if not taken:
                     taken = True
-                    plane[slot, 0], plane[slot, 1], plane[slot, 2] = p0, p1, p2
-                    plane[slot, 3], plane[slot, 4], plane[slot, 5] = q0, q1, q2
+                    # Texel column/z and row/z are sums of s/z, t/z and 1/z.
+                    for j in range(2):
+                        a, b, c = texel[q, 3 * j], texel[q, 3 * j + 1], texel[q, 3 * j + 2]
+                        plane[slot, 3 * j] = a * s0 + b * t0 + c * w0
+                        plane[slot, 3 * j + 1] = a * s1 + b * t1 + c * w1
+                        plane[slot, 3 * j + 2] = a * s2 + b * t2 + c * w2
                     plane[slot, 6], plane[slot, 7], plane[slot, 8] = w0, w1, w2
-                    for j in range(style.shape[1]):
-                        style[slot, j] = look[q, j]
-                    for j in range(4):
-                        mark[slot, j] = tag[q, j]
-                w_row = w0 + w2 * row
+                    style[slot], mark[slot] = look[q], tag[q]
                 if shape & CUT_OUT != 0:
-                    number = tag[q, 2]
-                    p_row, q_row = p0 + p2 * row, q0 + q2 * row
-                    middle = 0.5 * (begin + end)
-                    iz = 1.0 / (w_row + w1 * middle)
-                    across = abs((p1 - (p_row + p1 * middle) * iz * w1) * iz) + abs(
-                        (q1 - (q_row + q1 * middle) * iz * w1) * iz
-                    )
-                    along = abs((p2 - (p_row + p1 * middle) * iz * w2) * iz) + abs(
-                        (q2 - (q_row + q1 * middle) * iz * w2) * iz
-                    )
-                    ratio = max(across, along)
-                    level, reduce = 0, 1.0
-                    while ratio > 1.4 and level < 6:
-                        ratio *= 0.5
-                        reduce *= 0.5
-                        level += 1
-                    start, log_w, log_h = table[number, level, 0], table[number, level, 1], table[number, level, 2]
-                    mask_w, mask_h = (1 << log_w) - 1, (1 << log_h) - 1
-                    for column in range(begin, end + 1):
-                        w = float32(w_row + w1 * column)
-                        if w > depth[row, column]:
-                            iz = reduce / (w_row + w1 * column)
-                            tu = int(np.floor((p_row + p1 * column) * iz)) & mask_w
-                            tv = int(np.floor((q_row + q1 * column) * iz)) & mask_h
-                            if texels[start + (tv << log_w) + tu] >> _ALPHA_SHIFT > 110:
-                                depth[row, column] = w
-                                owner[row, column] = slot
-                else:
-                    for column in range(begin, end + 1):
-                        w = float32(w_row + w1 * column)
-                        if w > depth[row, column]:
-                            depth[row, column] = w
-                            owner[row, column] = slot
+                    _fill_cut_out(plane, slot, row, begin, end, tag[q, 2], texels, table, depth, owner)
+                    continue
+                w_row = w0 + w2 * row
+                for column in range(begin, end + 1):
+                    w = float32(w_row + w1 * column)
+                    if w > depth[row, column]:
+                        depth[row, column] = w
+                        owner[row, column] = slot
             if taken:
                 slot += 1
     return slot
 
 
 class DepthBuffers:
-    """Working memory of one image size: z-buffer, owners and the slots of visible patches."""
+    """What is seen at each pixel of one picture size; filled anew by every :func:`draw_patches`.
 
-    def __init__(self, height: int, width: int, slots: int) -> None:
+    Attributes:
+        depth: ``(h, w)`` float32 1/z, 0 where nothing is seen.
+        owner: ``(h, w)`` int32 slot of the patch that is seen, -1 for the sky.
+        plane: ``(slots, 9)`` texel column/z, texel row/z and 1/z as constant, per column and per row of pixels.
+        style: ``(slots, 13)`` ``PatchSet.look`` of the slot's patch.
+        mark: ``(slots, 4)`` ``PatchSet.tag`` of the slot's patch.
+    """
+
+    def __init__(self, height: int, width: int) -> None:
         self.depth: NDArray[np.float32] = np.zeros((height, width), np.float32)
         self.owner: NDArray[np.int32] = np.zeros((height, width), np.int32)
+        self._tiles = np.empty((-(-height // _TILE), -(-width // _TILE)), np.float32)
+        self._resize(16384)
+
+    def _resize(self, slots: int) -> None:
         self.plane = np.empty((slots, 9))
         self.style = np.empty((slots, 13), np.float32)
         self.mark = np.empty((slots, 4), np.int32)
+
+    def draw_patches(
+        self,
+        sets: tuple[PatchSet, ...],
+        rotation: NDArray[np.float64],
+        position_m: NDArray[np.float64],
+        lens: NDArray[np.float64],
+        far_m: float,
+        texels: NDArray[np.uint32],
+        table: NDArray[np.int64],
+    ) -> None:
+        """Draw all that can be seen.
+
+        Args:
+            sets: patches; a camera sees the nearest of all sets.
+            rotation: ``(3, 3)`` camera from map.
+            position_m: ``(3,)`` camera centre, map frame.
+            lens: fx, fy, cx, cy in pixels; pixel centres at whole numbers.
+            far_m: nothing farther than this is drawn.
+            texels: of the atlas (cut-out patches look at their coverage).
+            table: of the atlas.
+        """
+        height, width = self.depth.shape
+        self.depth.fill(0.0)
+        self.owner.fill(-1)
+        found = []
+        patches_most = 0
+        for patches in sets:
+            size = len(patches.groups)
+            nearest, number, tiles = np.empty(size), np.empty(size, np.int64), np.empty((size, 4), np.int64)
+            count = _visible_groups(
+                patches.groups, rotation, position_m, lens, width, height, far_m, nearest, number, tiles
+            )
+            found.append((patches, nearest[:count], number[:count], tiles, np.argsort(nearest[:count], kind="stable")))
+            patches_most += int((patches.group_start[number[:count] + 1] - patches.group_start[number[:count]]).sum())
+        if patches_most > len(self.plane):
+            self._resize(2 * patches_most)
+        slot = 0
+        for low, high in zip((-np.inf, *SHELLS_M), (*SHELLS_M, np.inf), strict=True):
+            if low > 0.0:
+                _farthest(self.depth, self._tiles)
+            for patches, nearest, number, tiles, order in found:
+                chosen = order[np.searchsorted(nearest[order], low) : np.searchsorted(nearest[order], high)]
+                if low > 0.0:
+                    chosen = _not_hidden(self._tiles, nearest, tiles, chosen)
+                slot = _draw(
+                    number[chosen], patches.group_start, patches.geometry, patches.texel, patches.look, patches.tag,
+                    rotation, position_m, lens, far_m, texels, table, self.depth, self.owner,
+                    self.plane, self.style, self.mark, slot,
+                )  # fmt: skip

@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 from mixo_env.nuscenes.scene import CameraCalibration
 from mixo_env.simulator.fleet import Fleet, body_motion
 from mixo_env.simulator.lamps import add_glare, light_window
-from mixo_env.simulator.mesh import PatchSet
 from mixo_env.simulator.rain import add_spray, mirror_road, spray_puffs
-from mixo_env.simulator.rasterizer import DepthBuffers, draw_groups, visible_groups
-from mixo_env.simulator.sensor import NOISE_SIDE, expose
+from mixo_env.simulator.rasterizer import DepthBuffers
+from mixo_env.simulator.sensor import NOISE_SIDE, expose, spread_motion
 from mixo_env.simulator.shading import shade
 from mixo_env.simulator.shadows import EXTENT_M
 from mixo_env.simulator.vehicles import VehicleState
@@ -75,6 +74,10 @@ def _mean_radiance(radiance: NDArray[np.int64]) -> float:
     return float(((some & 0x1FFFFF) + ((some >> 21) & 0x1FFFFF) + (some >> 42)).mean()) / (3.0 * RADIANCE_UNIT)
 
 
+_Memory = tuple[DepthBuffers, NDArray[np.int64], NDArray[np.float32], NDArray[np.float32]]
+"""Depth buffers, radiance, motion and vignette of one picture size."""
+
+
 class Renderer:
     """Renders one world in one weather; holds the working memory, so one per process and used for many images.
 
@@ -89,8 +92,7 @@ class Renderer:
     def __init__(self, world: World, weather: str | Weather = "day") -> None:
         self.world = world
         self.weather = weather_named(weather) if isinstance(weather, str) else weather
-        self._buffers: dict[tuple[int, int], DepthBuffers] = {}
-        self._pixels: dict[tuple[int, int], tuple[NDArray[np.int64], NDArray[np.float32], NDArray[np.float32]]] = {}
+        self._sizes: dict[tuple[int, int], _Memory] = {}
         columns = 3 * _WIDEST_PX + NOISE_SIDE
         self._noise = np.random.default_rng(20).standard_normal((NOISE_SIDE, columns), np.float32)
         self._fleet = Fleet(world, shadows=self.weather.sun > 0.0)
@@ -137,8 +139,9 @@ class Renderer:
         position = np.ascontiguousarray(pose.position_m, np.float64)
 
         near = [v for v in vehicles if np.hypot(v.x_m - position[0], v.y_m - position[1]) < FAR_M]
-        buffers = self._draw(self._fleet.placed(near), rotation, position, lens, height, width)
-        radiance, flow, vignette = self._images(height, width)
+        buffers, radiance, flow, vignette = self._memory(height, width)
+        patches = (self._fleet.placed(near), world.static)
+        buffers.draw_patches(patches, rotation, position, lens, FAR_M, world.texels, world.table)
         lamps, lamp_origin = self._no_lamps
         if self.weather.lamps > 0.0:
             lamps, lamp_origin = light_window(world.lamp_light, EXTENT_M, position, near)
@@ -188,70 +191,25 @@ class Renderer:
         used = wanted if gain is None else gain
         if self.weather.lamps >= 0.5:
             add_glare(radiance, RADIANCE_UNIT / used, GLARE)
+        spread_motion(buffers.depth, flow)
         image = np.empty((height, width, 3), np.uint8)
         offset = np.random.default_rng(noise_seed).integers(0, NOISE_SIDE, (height, 2))
         shot, read = self.weather.shot_noise, self.weather.read_noise
         expose(radiance, flow, vignette, self._noise, offset, used / RADIANCE_UNIT, shot, read, image)
         return RenderedImage(image, used + EXPOSURE_LAG * (wanted - used))
 
-    def _images(self, height: int, width: int) -> tuple[NDArray[np.int64], NDArray[np.float32], NDArray[np.float32]]:
-        if (height, width) not in self._pixels:
+    def _memory(self, height: int, width: int) -> _Memory:
+        """Working arrays for one picture size, made once."""
+        if (height, width) not in self._sizes:
             y, x = np.mgrid[0:height, 0:width]
             squared = ((x - 0.5 * width) ** 2 + (y - 0.5 * height) ** 2) / (0.5 * width) ** 2
-            vignette = ((1.0 + 0.22 * squared) ** -2).astype(np.float32)
-            self._pixels[height, width] = (
+            self._sizes[height, width] = (
+                DepthBuffers(height, width),
                 np.empty((height, width), np.int64),
                 np.empty((height, width, 2), np.float32),
-                vignette,
+                ((1.0 + 0.22 * squared) ** -2).astype(np.float32),
             )
-        return self._pixels[height, width]
-
-    def _draw(
-        self,
-        moving: PatchSet,
-        rotation: NDArray[np.float64],
-        position: NDArray[np.float64],
-        lens: NDArray[np.float64],
-        height: int,
-        width: int,
-    ) -> DepthBuffers:
-        world = self.world
-        most = 0
-        orders = []
-        for patches in (moving, world.static):
-            depth, number = np.empty(len(patches.groups)), np.empty(len(patches.groups), np.int64)
-            count = visible_groups(patches.groups, rotation, position, lens, width, height, FAR_M, depth, number)
-            order = number[:count][np.argsort(depth[:count], kind="stable")]
-            most += int((patches.group_start[order + 1] - patches.group_start[order]).sum())
-            orders.append(order)
-        buffers = self._buffers.get((height, width))
-        if buffers is None or len(buffers.plane) < most:
-            buffers = self._buffers[height, width] = DepthBuffers(height, width, 2 * most)
-        buffers.depth.fill(0.0)
-        buffers.owner.fill(-1)
-        slots = 0
-        for patches, order in zip((moving, world.static), orders, strict=True):
-            slots = draw_groups(
-                order,
-                patches.group_start,
-                patches.geometry,
-                patches.texel,
-                patches.tag,
-                patches.look,
-                rotation,
-                position,
-                lens,
-                FAR_M,
-                world.texels,
-                world.table,
-                buffers.depth,
-                buffers.owner,
-                buffers.plane,
-                buffers.style,
-                buffers.mark,
-                slots,
-            )
-        return buffers
+        return self._sizes[height, width]
 
     def _motion(self, middle: CameraPose, end: CameraPose, vehicles: Sequence[VehicleState]) -> NDArray[np.float64]:
         """``(1 + vehicles, 12)`` rigid motions of the second half of the exposure in camera coordinates."""

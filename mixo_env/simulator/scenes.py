@@ -67,7 +67,7 @@ def simulate_scene(config: SimulationConfig, log: LogPlan, plan: ScenePlan, root
     messages = bus_messages(bus_rng, drive, localisation, log.sensors, first_us, last_us)
 
     tracks = {}
-    for channel in config.channels:
+    for channel in config.cameras:
         frames = times.cameras[channel]
         x, y, yaw = localisation.pose((frames.timestamp_us - plan.start_us) / 1e6)
         names = zip(frames.timestamp_us.tolist(), frames.is_keyframe.tolist(), strict=True)
@@ -96,7 +96,7 @@ def pictures(
 ) -> Iterator[tuple[Path, NDArray[np.uint8]]]:
     """Every picture of the scene with its path, camera by camera in time order (the exposure control has a memory)."""
     shutter_s = renderer.weather.shutter_s
-    for channel in config.channels:
+    for channel in config.cameras:
         calibration = log.rig.true[channel]
         track = simulated.scene.cameras[channel]
         gain = None

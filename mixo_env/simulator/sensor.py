@@ -11,6 +11,7 @@ NOISE_SIDE = 1024
 _WHITE = 1.4  # exposed radiance that becomes white; highlights bend towards it
 _BEND = float32(0.35)
 _RISE = float32((1.0 + 0.35 * _WHITE - _WHITE) / _WHITE**2)
+_EDGE = float32(1.15)  # ratio of depths at an edge
 _FIELD = (1 << 21) - 1
 
 
@@ -18,6 +19,35 @@ _FIELD = (1 << 21) - 1
 def _at(flat, x, y, width, height):
     """Radiance at (x, y) in 1/65536 pixels, the nearest one of the picture."""
     return flat[np.uintp(min(max(y >> 16, 0), height - 1) * width + min(max(x >> 16, 0), width - 1))]
+
+
+@njit(cache=True, error_model="numpy")
+def spread_motion(depth, flow):
+    """Let near surfaces that move sideways smear over what is behind them.
+
+    ``expose`` averages along each pixel's own motion, so a pole that passes before a distant wall would only be eaten
+    at its edges. The wall's pixels that the pole sweeps (half its motion to either side) take the pole's motion.
+
+    Args:
+        depth: ``(h, w)`` float32 1/z.
+        flow: ``(h, w, 2)`` float32, changed in place.
+    """
+    height, width = depth.shape
+    for y in range(height):
+        for x in range(width - 1):
+            here, there = depth[y, x], depth[y, x + 1]
+            if here > there * _EDGE:
+                first, sense, near = x + 1, 1, x
+            elif there > here * _EDGE:
+                first, sense, near = x, -1, x + 1
+            else:
+                continue
+            du, dv, limit = flow[y, near, 0], flow[y, near, 1], depth[y, near] / _EDGE
+            for i in range(int(min(abs(du), float32(LONGEST_BLUR_PX)) * float32(0.5) + float32(0.5))):
+                column = first + sense * i
+                if column < 0 or column >= width or depth[y, column] > limit or abs(flow[y, column, 0]) > abs(du):
+                    break
+                flow[y, column, 0], flow[y, column, 1] = du, dv
 
 
 @njit(cache=True, error_model="numpy")

@@ -28,7 +28,7 @@ REAR_AXLE_TO_REAR_M = CAR_LENGTH_M - REAR_AXLE_TO_FRONT_M
 _RATE_HZ = 20
 _BEYOND_S = 0.5  # vehicles are known this long before and after the scene
 _SIGHT_M = 110.0
-_CLEAR_AHEAD_M, _CLEAR_ASIDE_M = 1.0, 0.15  # room around every vehicle, half of the smallest gap
+_CLEAR_AHEAD_M, _CLEAR_ASIDE_M = 0.9, 0.15  # room around every vehicle, half of the smallest gap
 _KINDS, _KIND_SHARES = ("sedan", "suv", "van", "truck"), (0.52, 0.26, 0.15, 0.07)
 
 
@@ -114,11 +114,11 @@ def _candidates(rng: np.random.Generator, drive: Drive, time_s: FloatArray) -> I
     """Vehicles in the order of their importance; the first ones are the staged ones."""
     situation = drive.situation
     if situation == "lead_truck":
-        yield _in_own_lane(rng, drive, time_s, "truck", rng.uniform(0.7, 1.2), gap_m=rng.uniform(2.0, 3.5))
+        yield _in_own_lane(rng, drive, time_s, "truck", rng.uniform(0.7, 1.2), gap_m=rng.uniform(2.4, 3.5))
     elif rng.uniform() < 0.35:
         yield _in_own_lane(rng, drive, time_s, _kind(rng), rng.uniform(1.4, 3.0), gap_m=rng.uniform(2.5, 6.0))
     if situation == "following_van":
-        yield _in_own_lane(rng, drive, time_s, "van", -rng.uniform(0.4, 0.8), gap_m=rng.uniform(1.5, 2.5))
+        yield _in_own_lane(rng, drive, time_s, "van", -rng.uniform(0.4, 0.8), gap_m=rng.uniform(2.4, 3.0))
     elif rng.uniform() < 0.35:
         yield _in_own_lane(rng, drive, time_s, _kind(rng), -rng.uniform(1.2, 2.5), gap_m=rng.uniform(2.5, 6.0))
 

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from mixo_env.simulator.mesh import CUT_OUT, SHADE, TWO_SIDED, Mesh, Surface, quad
+from mixo_env.simulator.mesh import CUT_OUT, SHADE, TWO_SIDED, Mesh, Surface, mesh_of, quad
 from mixo_env.simulator.textures import WORDS, Atlas, Bytes, Floats, plain, rgba, spectral_noise, write
 from mixo_env.simulator.vehicles import COLOURS, VEHICLE_KINDS
 
@@ -284,7 +284,7 @@ def _model(
         parts.append(quad(mirror, (x, y + 0.2, z + 0.16), (0, -0.2, 0), (0, 0, -0.16)))
     under = Surface(ground, (ground_texels_per_m,) * 2, tint=(0.1,) * 3, detail=0.5, material=SHADE)
     parts.append(quad(under, (tail - 0.05, half, 0.02), (length + 0.1, 0, 0), (0, -2 * half, 0)))
-    return np.concatenate(parts)
+    return mesh_of(parts)
 
 
 def ground_aligned(patches: Mesh, texels_per_m: float) -> Mesh:

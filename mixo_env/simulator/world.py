@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixo_env.errors import ConfigurationError
-from mixo_env.simulator.blocks import SIDES, City, build_pavement, build_side, dimmed
-from mixo_env.simulator.furniture import LAMP_M, city_materials, tree
+from mixo_env.simulator.blocks import SIDES, City, build_pavement, build_side
+from mixo_env.simulator.furniture import LAMP_M, street_lamp, traffic_light, tree
 from mixo_env.simulator.ground import GROUND_PERIOD_M, ground_texture
-from mixo_env.simulator.mesh import Mesh, PatchSet, packed, quad
+from mixo_env.simulator.materials import city_materials
+from mixo_env.simulator.mesh import Mesh, PatchSet, mesh_of, packed, quad
 from mixo_env.simulator.shadows import EXTENT_M, Shadows
 from mixo_env.simulator.streets import HALF_CITY_BLOCKS
 from mixo_env.simulator.textures import Atlas, detail_tile, reductions, sky_tile
@@ -119,25 +120,21 @@ def build_world(
     for side in blank_sides:
         if side[2] not in SIDES:
             raise ConfigurationError(f"blank side {side!r}: the side must be one of {', '.join(SIDES)}")
-    texture_rng, sun_rng, tree_rng, block_seed = np.random.default_rng([seed, 0]), *_streams(seed)
+    texture_rng, sun_rng, tree_rng = (np.random.default_rng([seed, part]) for part in range(3))
     atlas = Atlas()
     ground_per_m = ground_side / GROUND_PERIOD_M
     ground = atlas.add(ground_texture(texture_rng, ground_side))
-    materials = dimmed(city_materials(atlas, texture_rng, ground, ground_per_m, variety), grain)
+    materials = city_materials(atlas, texture_rng, ground, ground_per_m, variety, grain)
     vehicles = vehicle_models(atlas, texture_rng, ground, ground_per_m)
     azimuth, elevation = sun_rng.uniform(0.0, 2.0 * np.pi), np.deg2rad(sun_rng.uniform(30.0, 62.0))
     sun = np.array([np.cos(azimuth) * np.cos(elevation), np.sin(azimuth) * np.cos(elevation), np.sin(elevation)])
     trees = [tree(materials, tree_rng) for _ in range(12)]
-    city = City(materials, trees, vehicles, Shadows(sun), blank_walls, parked)
-
-    road = quad(
-        materials.ground,
-        (-_GROUND_HALF_M, _GROUND_HALF_M, 0.0),
-        (2 * _GROUND_HALF_M, 0, 0),
-        (0, -2 * _GROUND_HALF_M, 0),
-    )
+    lamp, signals = street_lamp(materials, tree_rng), traffic_light(materials, tree_rng)
+    city = City(materials, trees, lamp, signals, vehicles, Shadows(sun), blank_walls, parked)
+    half = _GROUND_HALF_M
+    road = mesh_of([quad(materials.ground, (-half, half, 0.0), (2.0 * half, 0.0, 0.0), (0.0, -2.0 * half, 0.0))])
     city.groups.append(ground_aligned(road, ground_per_m))
-    _blocks(city, block_seed, half_blocks, set(blank_sides))
+    _blocks(city, seed, half_blocks, set(blank_sides))
 
     detail, detail_start = packed_detail(detail_tile(texture_rng))
     texels, table = atlas.packed()
@@ -156,10 +153,6 @@ def build_world(
         lamp_light=lamp_light(np.array(city.lamps)),
         ground_texels_per_m=ground_per_m,
     )
-
-
-def _streams(seed: int) -> tuple[np.random.Generator, np.random.Generator, int]:
-    return np.random.default_rng([seed, 1]), np.random.default_rng([seed, 2]), seed
 
 
 def _blocks(city: City, seed: int, half_blocks: int, blank_sides: set[BlockSide]) -> None:

@@ -166,7 +166,7 @@ def _seconds(table: NumberTable, times: FloatArray) -> FloatArray:
         raise table.error(
             late[0],
             f"expected a time in seconds, got {times[late[0]]:.0f}, which looks like {unit}: "
-            f"divide the times by 1e{exponent}",
+            f"divide the times by 1e{exponent}" + (", or name an EuRoC file .csv" if exponent == 9 else ""),
         )
     _increasing(table, times)
     return times.copy()

@@ -26,7 +26,7 @@ class MountedCamera:
         skew_px: K[0, 1] of the full image.
         centre_px: ``(2,)`` cx, cy of the full image.
         rotation: ``(3, 3)`` ego from camera.
-        lever_m: ``(2,)`` camera position x, y in the ego frame (the rear axle is its origin).
+        position_m: ``(3,)`` camera in the ego frame (the rear axle on the ground is its origin).
     """
 
     channel: str
@@ -37,7 +37,7 @@ class MountedCamera:
     skew_px: float
     centre_px: FloatArray
     rotation: FloatArray
-    lever_m: FloatArray
+    position_m: FloatArray
 
     @property
     def pixel_size(self) -> float:
@@ -108,5 +108,5 @@ def mount(calibration: CameraCalibration, max_pixels: int | None) -> MountedCame
         float(intrinsic[0, 1]),
         intrinsic[:2, 2].copy(),
         rotation.copy(),
-        position[:2].copy(),
+        position.copy(),
     )

@@ -23,6 +23,9 @@ class MonocularConfig:
         match_max_bits: largest Hamming distance (of 256 bits) of a match.
         match_ratio: a match must be better than this share of the second-best distance in its search window.
         max_yaw_rate_radps: faster turns of the car are not searched for.
+        max_curvature_radpm: nor are tighter ones [rad per metre]: wheels that hardly roll cannot turn a car. A robot that
+            turns on the spot needs a large value.
+        standing_yaw_rad: turn allowed between two images beyond that, for distances that are a little too small.
         noise_px: expected position noise of a feature, in working pixels; the start value of the robust scale.
         tilt_std_rad: soft zero prior on the roll and pitch increments between two images.
         slip_std: soft prior of the sideways and vertical motion, as a share of the distance (non-holonomic car).
@@ -48,7 +51,9 @@ class MonocularConfig:
     match_max_bits: int = 64
     match_ratio: float = 0.9
     max_yaw_rate_radps: float = 1.0
-    noise_px: float = 0.7
+    max_curvature_radpm: float = 0.3
+    standing_yaw_rad: float = 0.005
+    noise_px: float = 0.35
     tilt_std_rad: float = 0.003
     slip_std: float = 0.05
     solver_matches: int = 800
@@ -97,6 +102,6 @@ class MonocularConfig:
 
 PRESETS = {
     "fast": MonocularConfig(),
-    "paper": MonocularConfig(features=8000, levels=19, scale_factor=1.2, max_pixels=None, noise_px=1.0, fine_nodes=True),
+    "paper": MonocularConfig(features=8000, levels=19, scale_factor=1.2, max_pixels=None, fine_nodes=True),
 }
 """Preset name -> settings."""

@@ -1,8 +1,8 @@
 """FAST corners on one image, their orientation and binary descriptor: the numba kernels of the feature detector.
 
 FAST-9 (Rosten and Drummond, ECCV 2006): a pixel is a corner when 9 neighbours in a row on a circle of 16 are all
-brighter or all darker by more than a threshold; its score is the largest such threshold. ORB (Rublee et al., ICCV 2011):
-orientation by the intensity centroid, 256 brightness comparisons turned with it in steps of 12 degrees.
+brighter or all darker by more than a threshold; its score is the largest such threshold. ORB (Rublee et al., ICCV
+2011): orientation by the intensity centroid, 256 brightness comparisons turned with it in steps of 12 degrees.
 """
 
 from __future__ import annotations
@@ -106,7 +106,7 @@ def corner_scores(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 @njit(cache=True)
 def _keep_peaks(scores: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Scores with everything but the maxima of 3 x 3 neighbourhoods set to 0; equals go to the first in reading order."""
+    """Scores with all but the maxima of 3 x 3 neighbourhoods set to 0; of equals the first in reading order stays."""
     height, width = scores.shape
     peaks = np.zeros_like(scores)
     for y in range(1, height - 1):
@@ -176,7 +176,9 @@ def describe(
     for turn in range(_TURNS):
         for k in range(256):
             for point in range(2):
-                offset[turn, k, point] = pattern[turn, k, 2 * point] + stride * np.int32(pattern[turn, k, 2 * point + 1])
+                offset[turn, k, point] = pattern[turn, k, 2 * point] + stride * np.int32(
+                    pattern[turn, k, 2 * point + 1]
+                )
     for i in range(n):
         x, y = corners[i, 0], corners[i, 1]
         mx = np.int32(0)

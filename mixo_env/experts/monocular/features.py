@@ -9,8 +9,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from mixo_env.experts.monocular.corners import HALF_WIDTHS, PATTERN, describe, grid_corners
 from mixo_env.experts.monocular.config import MonocularConfig
+from mixo_env.experts.monocular.corners import HALF_WIDTHS, PATTERN, describe, grid_corners
 
 _CELL_PX = 32
 _SMALLEST_SIDE = 64  # [px] below this no corner has room for its 31 px patch on a second pyramid level
@@ -56,13 +56,14 @@ class FeatureDetector:
     def detect(self, image: NDArray[np.uint8]) -> Features:
         """Features of a grey image ``(height, width)`` at working resolution."""
         found: list[Features] = []
+        layer = image
         for level, quota in enumerate(self._quota):
             scale = self._scale**level
             size = (round(image.shape[1] / scale), round(image.shape[0] / scale))
             if min(size) < _SMALLEST_SIDE:
                 break
-            layer = image if level == 0 else np.asarray(cv2.resize(found_layer, size, interpolation=cv2.INTER_AREA), np.uint8)
-            found_layer = layer
+            if level > 0:
+                layer = np.asarray(cv2.resize(layer, size, interpolation=cv2.INTER_AREA), np.uint8)
             corners = self._corners(layer, int(quota))
             if not len(corners):
                 continue
@@ -73,9 +74,7 @@ class FeatureDetector:
             found.append(Features(position, descriptor, np.full(len(corners), level, np.int32), angle))
         if not found:
             return no_features()
-        return Features(
-            *(np.concatenate([getattr(part, field.name) for part in found]) for field in fields(Features))
-        )
+        return Features(*(np.concatenate([getattr(part, field.name) for part in found]) for field in fields(Features)))
 
     def _corners(self, layer: NDArray[np.uint8], quota: int) -> NDArray[np.int32]:
         """At most ``quota`` corners ``(n, 4)`` of one level: the best of every cell first, then the second best, ..."""

@@ -9,7 +9,7 @@ R = R_z(yaw) R_y(pitch) R_x(roll) the rotation first from second ego frame, and 
 The two-dimensional transfer error of a match is split along and across its epipolar direction w = d(image 1)/d(rho).
 Across, the error is position noise. Along, it is noise plus the unknown depth, rho ~ N(mean, spread^2): worthless when
 the camera has moved far, as good as the other when it stands. One estimator so covers driving, creeping, pure rotation
-and standstill without a switch, and points behind the camera or absurdly near are recognised as outliers.
+and standstill without a switch; points behind the camera, absurdly near or under the road are outliers.
 
 Search is exhaustive over the yaw increment (the one-point model of Scaramuzza, IJCV 2011, here with known scale and
 lever arm for any mounting), then all six unknowns are refined by iteratively reweighted least squares with priors.
@@ -31,7 +31,10 @@ _MEAN_INVERSE_DEPTH = 0.06  # [1/m] street scenes: ground and fronts at 5 to 50 
 _SPREAD_INVERSE_DEPTH = 0.06
 _MAX_INVERSE_DEPTH = 0.7  # [1/m] nothing but the car itself is nearer than 1.4 m
 _DEPTH_SAMPLES = 20.0  # depths of neighbouring points are alike: all matches together count as so many
+_SLOPE = math.tan(math.radians(2.0))  # the road may fall away, and the car nod, by so much ...
+_DIP_M = 0.3  # ... and by this: nothing is seen below that
 _SLIP_FLOOR_M = 0.004
+_OPTIMISM = 1.6  # real errors over those of independent noise: neighbouring matches err together (simulated drives)
 _STILL_M = 1e-4  # stands for zero distance, keeps epipolar directions defined; below 0.1 px everywhere
 
 
@@ -45,8 +48,6 @@ class MotionPrior:
         noise: expected position noise on the image plane (unit focal length).
         tilt_std_rad: standard deviation of roll and pitch increments.
         slip_std: standard deviation of sideways and vertical motion, as a share of the distance.
-        course: expected sideways (left) and vertical (up) motion per metre: the mounting is known to a fraction of a
-            degree only, and the car need not move exactly where it heads.
     """
 
     distance_m: float
@@ -54,7 +55,6 @@ class MotionPrior:
     noise: float
     tilt_std_rad: float = 0.003
     slip_std: float = 0.05
-    course: tuple[float, float] = (0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class Motion:
         yaw_rad: yaw increment, anticlockwise positive.
         yaw_std_rad: its standard deviation, from the residuals.
         pitch_rad, roll_rad: tilt increments.
-        displacement_m: ``(3,)`` of the camera, first ego axes.
+        slip_m, heave_m: motion of the camera to the left and up, beyond the arc.
         inlier: ``(n,)`` bool, matches that agree.
         residual: median distance of the inliers from their epipolar lines, on the image plane; NaN without inliers.
     """
@@ -74,7 +74,8 @@ class Motion:
     yaw_std_rad: float
     pitch_rad: float
     roll_rad: float
-    displacement_m: FloatArray
+    slip_m: float
+    heave_m: float
     inlier: NDArray[np.bool_]
     residual: float
 
@@ -119,13 +120,24 @@ def _moving(distance: float) -> float:
 
 
 @njit(cache=True)
+def _least_inverse_depth(u: float, v: float, rotation: FloatArray, height: float) -> float:
+    """Inverse depth [1/m] of the road where the ray (u, v, 1) meets it, 0 above the horizon: nothing lies behind it.
+
+    It unmasks vehicles that move along with the car: their lower half would have to be under the road.
+    """
+    x = rotation[0, 0] * u + rotation[0, 1] * v + rotation[0, 2]
+    y = rotation[1, 0] * u + rotation[1, 1] * v + rotation[1, 2]
+    z = rotation[2, 0] * u + rotation[2, 1] * v + rotation[2, 2]
+    return max(0.0, -z - _SLOPE * math.sqrt(x * x + y * y)) / (height + _DIP_M)
+
+
+@njit(cache=True)
 def vote_yaw(
     first: FloatArray,
     second: FloatArray,
     rotation: FloatArray,
-    lever: FloatArray,
+    position: FloatArray,
     distance: float,
-    course: FloatArray,
     max_yaw: float,
     step: float,
     tolerance: float,
@@ -136,9 +148,8 @@ def vote_yaw(
         first: ``(n, 2)`` points on the first image plane (unit focal length).
         second: ``(n, 2)`` the same points on the second.
         rotation: ``(3, 3)`` ego from camera.
-        lever: ``(2,)`` camera position in the ego frame [m].
+        position: ``(3,)`` camera in the ego frame [m].
         distance: travelled [m].
-        course: ``(2,)`` expected slip and heave per metre.
         max_yaw: search range, either sign [rad].
         step: grid step [rad].
         tolerance: error on the image plane at which a match stops supporting a yaw.
@@ -152,11 +163,14 @@ def vote_yaw(
     s = _moving(distance)
     c_t = np.ascontiguousarray(rotation.T)
     inverse = 1.0 / (2.0 * tolerance * tolerance)
+    least = np.empty(len(second))
+    for i in range(len(second)):
+        least[i] = _least_inverse_depth(second[i, 0], second[i, 1], rotation, position[2])
     for b in range(count):
         yaw = (b - half) * step
-        tx, ty = camera_displacement(yaw, s, lever[0], lever[1])
+        tx, ty = camera_displacement(yaw, s, position[0], position[1])
         m = c_t @ _rotation(yaw, 0.0, 0.0) @ rotation
-        t0, t1, t2 = c_t @ np.array([tx, ty + course[0] * s, course[1] * s])
+        t0, t1, t2 = c_t @ np.array([tx, ty, 0.0])
         score = 0.0
         for i in range(first.shape[0]):
             u, v = second[i, 0], second[i, 1]
@@ -166,7 +180,8 @@ def vote_yaw(
             w0, w1 = t0 - first[i, 0] * t2, t1 - first[i, 1] * t2
             length = math.sqrt(w0 * w0 + w1 * w1) + 1e-12
             along = (y0 * w0 + y1 * w1) / length
-            excess = max(-along, along - _MAX_INVERSE_DEPTH * length / z, 0.0)
+            reach = length / z
+            excess = max(least[i] * reach - along, along - _MAX_INVERSE_DEPTH * reach, 0.0)
             across = (y0 * w1 - y1 * w0) / length
             score += 1.0 / (1.0 + (across * across + excess * excess) * inverse)
         scores[b] = score
@@ -184,9 +199,8 @@ def refine_motion(
     first: FloatArray,
     second: FloatArray,
     rotation: FloatArray,
-    lever: FloatArray,
+    position: FloatArray,
     distance: float,
-    course: FloatArray,
     yaw: float,
     noise: float,
     tilt_std: float,
@@ -199,9 +213,8 @@ def refine_motion(
         first: ``(n, 2)`` points on the first image plane (unit focal length).
         second: ``(n, 2)`` the same points on the second.
         rotation: ``(3, 3)`` ego from camera.
-        lever: ``(2,)`` camera position in the ego frame [m].
+        position: ``(3,)`` camera in the ego frame [m].
         distance: travelled [m].
-        course: ``(2,)`` expected slip and heave per metre.
         yaw: start value [rad].
         noise: expected position noise on the image plane; the scale is then estimated from the residuals.
         tilt_std: prior of pitch and roll [rad].
@@ -210,13 +223,17 @@ def refine_motion(
 
     Returns:
         The six unknowns, the variance of yaw [rad^2], the estimated noise, and ``(n,)`` residuals across the epipolar
-        lines (inf where the match contradicts the motion along its line: behind the camera or absurdly near).
+        lines (inf where the match contradicts the motion along its line: behind the camera, absurdly near or under the
+        road).
     """
     n = first.shape[0]
     s = _moving(distance)
     c_t = np.ascontiguousarray(rotation.T)
     slip_variance = (slip_std * s) ** 2 + _SLIP_FLOOR_M**2
-    x = np.array([yaw, 0.0, 0.0, course[0] * s, course[1] * s, _MEAN_INVERSE_DEPTH])
+    x = np.array([yaw, 0.0, 0.0, 0.0, 0.0, _MEAN_INVERSE_DEPTH])
+    least = np.empty(n)
+    for i in range(n):
+        least[i] = _least_inverse_depth(second[i, 0], second[i, 1], rotation, position[2])
     residual = np.empty(n)
     across_all = np.empty(n)
     sigma = 3.0 * noise  # wide at first, so that a coarse start finds its way
@@ -228,8 +245,8 @@ def refine_motion(
     eps = 1e-6
     for it in range(iterations + 1):
         last = it == iterations
-        tx, ty = camera_displacement(x[0], s, lever[0], lever[1])
-        qx, qy = camera_displacement(x[0] + eps, s, lever[0], lever[1])
+        tx, ty = camera_displacement(x[0], s, position[0], position[1])
+        qx, qy = camera_displacement(x[0] + eps, s, position[0], position[1])
         r0 = _rotation(x[0], x[1], x[2])
         m = c_t @ r0 @ rotation
         d_yaw = c_t @ ((_rotation(x[0] + eps, x[1], x[2]) - r0) / eps) @ rotation
@@ -254,7 +271,7 @@ def refine_motion(
             r = root * (y0 * e1 - y1 * e0)
             across_all[i] = r
             reach = length * iz
-            excess = max(-along, along - _MAX_INVERSE_DEPTH * reach) - 4.0 * sigma
+            excess = max(least[i] * reach - along, along - _MAX_INVERSE_DEPTH * reach) - 4.0 * sigma
             if z < 0.05 or excess > 0.0:
                 residual[i] = np.inf
                 continue
@@ -299,7 +316,7 @@ def refine_motion(
             g[k] += variance / tilt_std**2 * x[k]
         for k in range(3, 5):
             h[k, k] += variance / slip_variance
-            g[k] += variance / slip_variance * (x[k] - course[k - 3] * s)
+            g[k] += variance / slip_variance * x[k]
         h[5, 5] += variance / _SPREAD_INVERSE_DEPTH**2
         g[5] += variance / _SPREAD_INVERSE_DEPTH**2 * (x[5] - _MEAN_INVERSE_DEPTH)
         h[0, 0] += 1e-12
@@ -321,7 +338,7 @@ _MIN_MATCHES = 8
 
 
 def estimate_motion(
-    first: FloatArray, second: FloatArray, rotation: FloatArray, lever_m: FloatArray, prior: MotionPrior
+    first: FloatArray, second: FloatArray, rotation: FloatArray, position_m: FloatArray, prior: MotionPrior
 ) -> Motion | None:
     """Motion of the car between two images of one camera.
 
@@ -329,7 +346,7 @@ def estimate_motion(
         first: ``(n, 2)`` matched points on the first image plane (x right, y down, unit focal length).
         second: ``(n, 2)`` the same on the second.
         rotation: ``(3, 3)`` ego from camera.
-        lever_m: ``(2,)`` camera position in the ego frame.
+        position_m: ``(3,)`` camera in the ego frame; its height says where the road is.
         prior: distance, search range and noise.
 
     Returns:
@@ -340,17 +357,16 @@ def estimate_motion(
     first, second = np.ascontiguousarray(first, dtype=np.float64), np.ascontiguousarray(second, dtype=np.float64)
     tolerance = max(3.0 * prior.noise, 0.6 * prior.tilt_std_rad)
     stride = max(1, len(first) // 300)
-    some, distance, course = slice(None, None, stride), prior.distance_m, np.array(prior.course)
+    some, distance = slice(None, None, stride), prior.distance_m
     yaw, _ = vote_yaw(
-        first[some], second[some], rotation, lever_m, distance, course, prior.max_yaw_rad, tolerance, tolerance
+        first[some], second[some], rotation, position_m, distance, prior.max_yaw_rad, tolerance, tolerance
     )
     unknowns, variance, sigma, residual = refine_motion(
         first,
         second,
         rotation,
-        lever_m,
+        position_m,
         distance,
-        course,
         yaw,
         prior.noise,
         prior.tilt_std_rad,
@@ -360,13 +376,13 @@ def estimate_motion(
     if not np.isfinite(unknowns).all() or not variance > 0.0 or abs(unknowns[0]) > 1.2 * prior.max_yaw_rad:
         return None
     inlier = np.abs(residual) < 3.0 * sigma
-    x, y = camera_displacement(unknowns[0], prior.distance_m, lever_m[0], lever_m[1])
     return Motion(
         yaw_rad=float(unknowns[0]),
-        yaw_std_rad=float(math.sqrt(variance)),
+        yaw_std_rad=_OPTIMISM * math.sqrt(variance),
         pitch_rad=float(unknowns[1]),
         roll_rad=float(unknowns[2]),
-        displacement_m=np.array([x, y + unknowns[3], unknowns[4]]),
+        slip_m=float(unknowns[3]),
+        heave_m=float(unknowns[4]),
         inlier=inlier,
         residual=float(np.median(np.abs(residual[inlier]))) if inlier.any() else math.nan,
     )

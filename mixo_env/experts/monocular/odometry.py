@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -14,35 +12,10 @@ from mixo_env.errors import DatasetError
 from mixo_env.experts.expert import CameraStep, State
 from mixo_env.experts.monocular.camera import MountedCamera, mount
 from mixo_env.experts.monocular.config import MonocularConfig
-from mixo_env.experts.monocular.features import FeatureDetector, Features
-from mixo_env.experts.monocular.matching import match_features
-from mixo_env.experts.monocular.motion import Motion, MotionPrior, estimate_motion
-from mixo_env.experts.monocular.vocabulary import GENERAL_VOCABULARY, Vocabulary, load_vocabulary
+from mixo_env.experts.monocular.pair import Frame, Pair, PairSolver
 from mixo_env.nuscenes.scene import CameraCalibration
 
 _FROZEN_DISTANCE_M = 0.05  # moving at least so far must change at least one pixel
-_NEAREST_M = 4.0  # search windows allow for points this near
-
-
-@dataclass(frozen=True)
-class _Frame:
-    """One image, reduced to what the next one is compared with."""
-
-    features: Features
-    node: NDArray[np.int32]
-
-
-@dataclass(frozen=True)
-class _Pair:
-    """Outcome of matching two consecutive images."""
-
-    matches: int
-    flow_px: float
-    motion: Motion | None
-
-
-def _vocabulary(name: str) -> Vocabulary:
-    return load_vocabulary(GENERAL_VOCABULARY if name == "general" else Path(name))
 
 
 class MonocularOdometry:
@@ -74,9 +47,8 @@ class MonocularOdometry:
     def __init__(self, calibration: CameraCalibration, config: MonocularConfig | None = None) -> None:
         self.config = config or MonocularConfig()
         self.camera: MountedCamera = mount(calibration, self.config.max_pixels)
-        self._detector = FeatureDetector(self.config)
-        self._vocabulary = _vocabulary(self.config.vocabulary)
-        self._previous: _Frame | None = None
+        self._solver = PairSolver(self.camera, self.config)
+        self._previous: Frame | None = None
         self._last_timestamp_us: int | None = None
         self._last_image: NDArray[np.uint8] | None = None
         self._state = State.INITIALISING
@@ -101,12 +73,10 @@ class MonocularOdometry:
         if last is not None and abs(distance_m) > _FROZEN_DISTANCE_M and np.array_equal(working, last):
             self._previous = None  # the time of a frozen image is unknown: nothing may be compared with it
             return self._close(None, distance_m)
-        features = self._detector.detect(working)
-        frame = _Frame(features, self._vocabulary.nodes(features.descriptor, self.config.fine_nodes))
-        self._previous = frame
+        frame = self._previous = self._solver.frame(working)
         if previous is None or gap_s > self.config.max_gap_s:
             return self._close(None, distance_m)
-        return self._close(self._compare(previous, frame, gap_s, distance_m), distance_m)
+        return self._close(self._solver.compare(previous, frame, gap_s, distance_m), distance_m)
 
     def _check(self, image: NDArray[np.uint8], timestamp_us: int, distance_m: float) -> None:
         name, camera = self.camera.channel, self.camera
@@ -134,41 +104,7 @@ class MonocularOdometry:
         cut = image[: height * factor, : width * factor]
         return np.asarray(cv2.resize(cut, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
 
-    def _compare(self, first: _Frame, second: _Frame, gap_s: float, distance_m: float) -> _Pair:
-        """Match two images and solve for the motion between them: no memory beyond the pair."""
-        camera, config = self.camera, self.config
-        max_yaw = config.max_yaw_rate_radps * gap_s
-        radius = (max_yaw + abs(distance_m) / _NEAREST_M) / camera.pixel_size + 8.0
-        nodes = self._vocabulary.branches ** (2 if config.fine_nodes else 1)
-        i, j = match_features(
-            first.features,
-            second.features,
-            first.node,
-            second.node,
-            nodes,
-            radius,
-            config.match_max_bits,
-            config.match_ratio,
-        )
-        if len(i) < config.min_matches:
-            flow = math.nan if not len(i) else self._flow(first.features.position_px[i], second.features.position_px[j])
-            return _Pair(len(i), flow, None)
-        p1, p2 = first.features.position_px[i], second.features.position_px[j]
-        picked = slice(None, None, -(-len(i) // config.solver_matches))
-        motion = estimate_motion(
-            camera.plane(p1[picked]),
-            camera.plane(p2[picked]),
-            camera.rotation,
-            camera.lever_m,
-            MotionPrior(distance_m, max_yaw, config.noise_px * camera.pixel_size, config.tilt_std_rad, config.slip_std),
-        )
-        return _Pair(len(i), self._flow(p1, p2), motion)
-
-    def _flow(self, p1: NDArray[np.float32], p2: NDArray[np.float32]) -> float:
-        """Median displacement [full px]."""
-        return float(np.median(np.hypot(*(p2 - p1).T))) * 2**self.camera.halvings
-
-    def _close(self, pair: _Pair | None, distance_m: float) -> CameraStep:
+    def _close(self, pair: Pair | None, distance_m: float) -> CameraStep:
         """Advance the state by one image and report."""
         config = self.config
         motion = pair.motion if pair is not None else None

@@ -1,7 +1,7 @@
 """Vocabulary tree of binary words: which descriptors may be compared at all.
 
-A tree of k-majority clusters (Grana et al., 2013, the binary k-means of DBoW2, Galvez-Lopez and Tardos, TRO 2012): every
-node splits its descriptors into ``branches`` groups, whose centres are bitwise majorities. Two descriptors match only
+A tree of k-majority clusters (Grana et al., 2013; DBoW2 of Galvez-Lopez and Tardos, TRO 2012, does alike): every node
+splits its descriptors into ``branches`` groups, whose centres are bitwise majorities. Two descriptors match only
 within the same node, which is what makes matching take milliseconds.
 """
 

@@ -1,0 +1,206 @@
+"""``MixoOdometryBudget-v0``: which cameras are worth their milliseconds?"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from mixo_env.envs.observation import AWAKE, PAPER, RICH, Quantity
+from mixo_env.envs.odometry import MixoOdometryEnv, MixoOdometryVectorEnv
+from mixo_env.envs.replay import Replay
+from mixo_env.envs.session import Session
+from mixo_env.envs.settings import Settings
+from mixo_env.errors import ConfigurationError, RecordingError
+from mixo_env.experts.expert import State
+from mixo_env.recordings.collection import Recordings
+
+PARTS = ("matches", "inliers", "residual_px", "flow_px", "state", "awake", "yaw_rates", "available", "disagreement")
+"""Quantities that depend on the switches, in the order :func:`silence` takes their columns."""
+
+STATELESS = tuple(quantity for quantity in RICH if quantity.name != "yaw_rate_std")
+"""``"rich"`` without the standard deviation, which only an odometry that was never switched off can tell."""
+
+
+@numba.njit(cache=True)
+def silence(
+    out: Any, state: Any, table: Any, delivers: Any, awake: Any, expert_of_camera: Any, columns: Any, limit: float
+) -> None:
+    """Take out of an observation what sleeping and just woken cameras cannot know.
+
+    Args:
+        out: ``(batch, width)``, changed in place.
+        state: ``(batch,)`` STATE.
+        table: ``(rows,)`` STEP.
+        delivers: ``(batch, experts)`` bool: the expert's images of this step and the one before were processed.
+        awake: ``(batch, cameras)`` bool: the image of this step was processed.
+        expert_of_camera: ``(cameras,)`` position of each camera among the experts.
+        columns: first column of each of PARTS, -1 where the observation lacks it.
+        limit: bound of yaw rates [rad/s].
+    """
+    experts = delivers.shape[1]
+    rates, available, disagreement = columns[6], columns[7], columns[8]
+    said = np.empty(experts)
+    for b in range(out.shape[0]):
+        k = table[state[b].row]
+        for c in range(awake.shape[1]):
+            out[b, columns[5] + c] = awake[b, c]
+            j = expert_of_camera[c]
+            if delivers[b, j]:
+                continue
+            out[b, rates + j] = min(max(k.substitute_rad / k.dt_s, -limit), limit)
+            out[b, columns[0] + c] = 0.0
+            if available >= 0:
+                out[b, available + j] = 0.0
+                out[b, columns[1] + c] = 0.0
+                out[b, columns[2] + c] = 0.0
+                out[b, columns[3] + c] = 0.0
+                out[b, columns[4] + c] = 0.0 if awake[b, c] else 3.0  # INITIALISING or NO_IMAGE
+        if disagreement >= 0:
+            count = 0
+            for j in range(experts):
+                if out[b, available + j] > 0.0:
+                    said[count] = out[b, rates + j]
+                    count += 1
+            middle = np.median(said[:count]) if count else k.substitute_rad / k.dt_s
+            for j in range(experts):
+                out[b, disagreement + j] = out[b, rates + j] - middle
+
+
+class BudgetReplay(Replay):
+    """Fusion core whose cameras can be switched off.
+
+    A camera delivers its stateless increment for a step only if the images at both ends of it were processed.
+
+    Attributes:
+        awake: ``(batch, cameras)`` bool: the image that closes the coming step is processed.
+    """
+
+    camera_increments: ClassVar[str] = "two_frame_yaw_increment_rad"
+
+    def __init__(self, recordings: Recordings, *, quantities: tuple[Quantity, ...] = STATELESS, **options: Any) -> None:
+        """Build the tables; options as in :class:`~mixo_env.envs.replay.Replay`."""
+        super().__init__(recordings, quantities=(*quantities, AWAKE), **options)
+        if not self.cameras:
+            raise ConfigurationError("experts: expected at least one camera to switch, got none")
+        self._expert_of_camera = np.array([self.experts.index(camera) for camera in self.cameras])
+        slices = self.layout.slices
+        self._columns = np.array([slices[name].start if name in slices else -1 for name in PARTS])
+        self.awake = np.zeros((0, len(self.cameras)), np.bool_)
+
+    def restart(self, which: NDArray[np.int64], scenes: NDArray[np.int64], *, pause: bool = False) -> None:
+        """Start ``scenes`` with all cameras awake: their first two images were processed."""
+        super().restart(which, scenes, pause=pause)
+        if len(self.awake) != self.batch:
+            self.awake = np.ones((self.batch, len(self.cameras)), np.bool_)
+        self.awake[which] = True
+        self.delivers[which] = True
+
+    def switch(self, which: NDArray[np.bool_], on: NDArray[np.bool_]) -> None:
+        """Where ``which``, let the cameras ``on`` ``(batch, cameras)`` process the image that closes the coming step."""
+        delivers = self.delivers.copy()
+        delivers[:, self._expert_of_camera] = on & self.awake
+        self.delivers[which] = delivers[which]
+        self.awake[which] = on[which]
+
+    def observe_flat(self) -> NDArray[np.float32]:
+        """The observation as one fresh array ``(batch, layout.width)``."""
+        return self.silenced(super().observe_flat())
+
+    def silenced(self, flat: NDArray[np.float32]) -> NDArray[np.float32]:
+        """``flat``, changed in place, without what the cameras that do not deliver would have said."""
+        silence(
+            flat,
+            self.state,
+            self.table,
+            self.delivers,
+            self.awake,
+            self._expert_of_camera,
+            self._columns,
+            self.rate_limit,
+        )
+        return flat
+
+    def _camera_states(self) -> NDArray[np.int8]:
+        """TRACKING where two images alone give an increment: there is no memory and so no other way to track."""
+        recorded = super()._camera_states()
+        found = self.votes.available[:, [self.experts.index(camera) for camera in self.cameras]]
+        unseen = recorded == State.NO_IMAGE
+        return np.where(found, State.TRACKING, np.where(unseen, State.NO_IMAGE, State.LOST)).astype(np.int8)
+
+
+@dataclass(frozen=True)
+class BudgetSettings(Settings):
+    """Options of the budget environment."""
+
+    price_per_ms: float = 0.01
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not (np.isfinite(self.price_per_ms) and self.price_per_ms >= 0):
+            raise ConfigurationError(f"price_per_ms: expected a number >= 0, got {self.price_per_ms!r}: e.g. 0.01")
+
+
+class BudgetSession(Session):
+    """A batch of scenes in which cameras cost time."""
+
+    settings: BudgetSettings
+    replay: BudgetReplay
+
+    def __init__(self, settings: BudgetSettings, batch: int, *, keep_trajectories: bool = True) -> None:
+        """As the base, with costs from the recordings' manifest."""
+        super().__init__(settings, batch, keep_trajectories=keep_trajectories)
+        costs = self.recordings.manifest.camera_cost_ms
+        missing = [camera for camera in self.replay.cameras if camera not in costs]
+        if missing:
+            raise RecordingError(f"the manifest has no camera_cost_ms for {', '.join(missing)}: record anew")
+        self.cost_ms = np.array([costs[camera] for camera in self.replay.cameras])
+        self.reward.report = (*self.reward.report, "reward_cost", "cost_ms")
+        self._report_shape = len(self.reward.report), batch
+
+    def _build_replay(self, recordings: Recordings, keep_trajectories: bool) -> BudgetReplay:
+        s = self.settings
+        return BudgetReplay(
+            recordings,
+            track=s.track,
+            experts=s.experts,
+            previous=s.previous,
+            lost=s.lost,
+            privileged=s.privileged,
+            quantities=PAPER if s.observation in ("paper", "pixels") else STATELESS,
+            keep_trajectories=keep_trajectories,
+        )
+
+    def _switches(self) -> int:
+        return len(self.replay.cameras)
+
+    def _step(self, actions: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float64], int]:
+        """Mix the experts by the first numbers of each action, then switch cameras by the sign of the others."""
+        experts, state = len(self.replay.experts), self.replay.state
+        self.rule.complain(actions)
+        paused = state["pause"].copy()
+        flat, report, ended = super()._step(np.ascontiguousarray(actions[:, :experts]))
+        goes_on = ~(paused | state["done"])
+        on = actions[:, experts:] > 0.0
+        self.replay.switch(goes_on, on)
+        report[-1] = np.where(goes_on, on @ self.cost_ms, 0.0)
+        report[-2] = -self.settings.price_per_ms * report[-1]
+        report[0] += report[-2]
+        return self.replay.silenced(flat), report, ended
+
+
+class MixoOdometryBudgetEnv(MixoOdometryEnv):
+    """DOC."""
+
+    session_class = BudgetSession
+    settings_class = BudgetSettings
+
+
+class MixoOdometryBudgetVectorEnv(MixoOdometryVectorEnv):
+    """``num_envs`` copies of :class:`MixoOdometryBudgetEnv` stepped together; equal to it step for step."""
+
+    session_class = BudgetSession
+    settings_class = BudgetSettings

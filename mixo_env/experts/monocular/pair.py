@@ -1,0 +1,109 @@
+"""Two images of one camera: match, align, solve. No memory beyond the pair."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixo_env.experts.monocular.alignment import align_matches
+from mixo_env.experts.monocular.camera import MountedCamera
+from mixo_env.experts.monocular.config import MonocularConfig
+from mixo_env.experts.monocular.features import FeatureDetector, Features
+from mixo_env.experts.monocular.matching import match_features
+from mixo_env.experts.monocular.motion import Motion, MotionPrior, estimate_motion
+from mixo_env.experts.monocular.vocabulary import GENERAL_VOCABULARY, load_vocabulary
+
+_NEAREST_M = 4.0  # search windows allow for points this near
+
+
+@dataclass(frozen=True)
+class Frame:
+    """One image and its features.
+
+    Attributes:
+        image: ``(height, width)`` grey, working resolution.
+        features: its corners.
+        node: ``(n,)`` vocabulary node of each corner.
+    """
+
+    image: NDArray[np.uint8]
+    features: Features
+    node: NDArray[np.int32]
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Outcome of comparing two images.
+
+    Attributes:
+        matches: number of matched features.
+        flow_px: their median displacement [px of the full image]; NaN without matches.
+        first, second: ``(k, 2)`` aligned matches on the image planes, at most ``solver_matches``.
+        motion: ``None`` when none was found.
+    """
+
+    matches: int
+    flow_px: float
+    first: NDArray[np.float64]
+    second: NDArray[np.float64]
+    motion: Motion | None
+
+
+class PairSolver:
+    """Compares images of one camera."""
+
+    def __init__(self, camera: MountedCamera, config: MonocularConfig) -> None:
+        self.camera, self.config = camera, config
+        self._detector = FeatureDetector(config)
+        name = config.vocabulary
+        self._vocabulary = load_vocabulary(GENERAL_VOCABULARY if name == "general" else Path(name))
+
+    def frame(self, image: NDArray[np.uint8]) -> Frame:
+        """Features of an image ``(height, width)`` at working resolution."""
+        features = self._detector.detect(image)
+        return Frame(image, features, self._vocabulary.nodes(features.descriptor, self.config.fine_nodes))
+
+    def compare(self, first: Frame, second: Frame, gap_s: float, distance_m: float) -> Pair:
+        """Motion of the car from the first to the second image.
+
+        Args:
+            first: earlier image.
+            second: later image.
+            gap_s: time between them.
+            distance_m: travelled between them, negative in reverse.
+        """
+        camera, config = self.camera, self.config
+        prior = MotionPrior(
+            distance_m,
+            min(
+                config.max_yaw_rate_radps * gap_s,
+                config.max_curvature_radpm * abs(distance_m) + config.standing_yaw_rad,
+            ),
+            config.noise_px * camera.pixel_size,
+            config.tilt_std_rad,
+            config.slip_std,
+        )
+        radius = (prior.max_yaw_rad + abs(distance_m) / _NEAREST_M) / camera.pixel_size + 8.0
+        i, j = match_features(
+            first.features,
+            second.features,
+            first.node,
+            second.node,
+            self._vocabulary.branches ** (2 if config.fine_nodes else 1),
+            radius,
+            config.match_max_bits,
+            config.match_ratio,
+        )
+        p1, p2 = first.features.position_px[i], second.features.position_px[j]
+        flow = float(np.median(np.hypot(*(p2 - p1).T))) * 2**camera.halvings if len(i) else math.nan
+        if len(i) < config.min_matches:
+            return Pair(len(i), flow, camera.plane(p1), camera.plane(p2), None)
+        picked = np.arange(0, len(i), -(-len(i) // config.solver_matches))
+        p1, p2 = p1[picked], p2[picked]
+        p2, aligned = align_matches(first.image, second.image, p1, p2)
+        f1, f2 = camera.plane(p1[aligned]), camera.plane(p2[aligned])
+        return Pair(len(i), flow, f1, f2, estimate_motion(f1, f2, camera.rotation, camera.position_m, prior))

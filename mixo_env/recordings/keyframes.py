@@ -1,0 +1,69 @@
+"""The paper's clock: ground truth at key frames only (2 Hz), steps in between added up."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from mixo_env.errors import RecordingError
+from mixo_env.experts.expert import State
+from mixo_env.recordings.collection import Column, Recordings
+from mixo_env.recordings.fitting import with_fits
+
+_SUMMED = ("yaw_increment_rad", "distance_m", "dt_s", "own_window_s")
+_AVERAGED = ("matches", "inliers", "residual_px", "flow_px")
+
+
+def at_keyframes(recordings: Recordings) -> Recordings:
+    """The recordings with one step from key frame to key frame, as with ``ground_truth="keyframes"`` in the paper.
+
+    Increments, distances and times add up; one that is missing in between leaves the whole step without, and its
+    camera LOST. Variances add up, counts and pixels are averaged, everything else is taken at the key frame. What was
+    recorded before a scene's first and after its last key frame is left out. LINEAR and the reward scale are fitted
+    anew.
+
+    Raises:
+        RecordingError: if a scene has fewer than two key frames.
+    """
+    scenes, kept, row_of_step = [], [], []
+    for i, scene in enumerate(recordings.scenes):
+        rows = recordings.offsets[i] + np.flatnonzero(recordings.rows(i)["is_keyframe"])
+        if len(rows) < 2:
+            raise RecordingError(f"{scene.name}: expected at least 2 key frames, got {len(rows)}: select other scenes")
+        scenes.append(replace(scene, rows=len(rows), values_hash=""))
+        kept.append(rows)
+        row_of_step.append(rows[0])
+    keep, first = np.concatenate(kept), np.array(row_of_step)
+    starts = np.isin(keep, first)
+
+    def summed(values: Column) -> Column:
+        """Sum over (previous key frame, this one]; NaN in a scene's first row."""
+        known = np.isfinite(values)
+        total = np.cumsum(np.where(known, values, 0.0), dtype=np.float64)[keep]
+        unknown = np.cumsum(~known)[keep]
+        steps = np.diff(total, prepend=0.0)
+        steps[np.diff(unknown, prepend=0) > 0] = np.nan
+        steps[starts] = np.nan
+        return steps
+
+    columns: dict[str, Column] = {}
+    for name in recordings.column_names:
+        values, short = recordings[name], name.rpartition(".")[2]
+        if short.endswith(_SUMMED):
+            result = summed(values)
+        elif short == "yaw_std_rad":
+            result = np.sqrt(summed(np.square(values, dtype=np.float64)))
+        elif short in _AVERAGED:
+            result = summed(values) / np.diff(keep, prepend=keep[0] - 1).clip(1)
+        else:
+            result = values[keep]
+        columns[name] = result.astype(values.dtype)
+    columns["step"] = np.concatenate([np.arange(scene.rows, dtype=np.int32) for scene in scenes])
+    columns["dt_s"][starts] = 0.0
+    columns["time_s"] = columns["time_s"] - np.repeat(columns["time_s"][starts], [scene.rows for scene in scenes])
+    for camera in recordings.manifest.cameras:
+        state = columns[f"{camera}.state"]
+        complete = np.isfinite(columns[f"{camera}.yaw_increment_rad"])
+        state[~starts] = np.where(complete, State.TRACKING, State.LOST)[~starts]
+    return with_fits(Recordings(replace(recordings.manifest, scenes=tuple(scenes)), columns))

@@ -1,0 +1,59 @@
+"""The project's own experts in a recording: nothing from the future, no gyro in a camera."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mixo_env.nuscenes.scene import Signal
+from mixo_env.nuscenes.tables import open_dataset
+from mixo_env.recordings.record import RecordConfig, default_experts
+from mixo_env.recordings.steps import record_scene
+from tests.nuscenes_fixture import DRIVES, write_nuscenes
+from tests.recording_fakes import with_another_future, write_sliding_texture
+
+CAMERAS = ("CAM_FRONT", "CAM_BACK_RIGHT")
+EXPERTS = default_experts(RecordConfig(cameras=CAMERAS))
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("nuscenes")
+    write_sliding_texture(folder, write_nuscenes(folder, DRIVES[:1], duration_s=1.0, images=False))
+    return open_dataset(folder).load(DRIVES[0].name, CAMERAS)
+
+
+@pytest.fixture(scope="module")
+def recorded(scene):
+    columns, _ = record_scene(scene, EXPERTS)
+    return columns
+
+
+@pytest.mark.parametrize("k", [6])
+def test_nothing_later_than_t_k_enters_row_k(scene, recorded, k):
+    other, _ = record_scene(with_another_future(scene, recorded["timestamp_us"][k]), EXPERTS)
+    for name, values in recorded.items():
+        assert values[: k + 1].tobytes() == other[name][: k + 1].tobytes(), name
+    changed = {name for name in recorded if recorded[name][k + 1 :].tobytes() != other[name][k + 1 :].tobytes()}
+    assert {
+        "distance_m",
+        "INERTIAL.yaw_increment_rad",
+        "INERTIAL_POSE.yaw_increment_rad",
+        "CAM_FRONT.matches",
+    } <= changed
+
+
+def test_a_camera_does_not_listen_to_the_gyro(scene, recorded):
+    can_bus = scene.can_bus
+    gyro = can_bus.imu_yaw_rate_radps
+    wrong = replace(can_bus, imu_yaw_rate_radps=Signal(gyro.timestamp_us, -2.0 * gyro.value + 0.5))
+    other, _ = record_scene(replace(scene, can_bus=wrong), EXPERTS)
+    changed = {name for name in recorded if recorded[name].tobytes() != other[name].tobytes()}
+    carried = {
+        f"{camera}.{name}" for camera in CAMERAS for name in ("yaw_increment_rad", "two_frame_yaw_increment_rad")
+    }
+    assert "INERTIAL.yaw_increment_rad" in changed
+    assert changed <= carried | {"INERTIAL.yaw_increment_rad"}
+    assert np.isfinite(recorded["CAM_FRONT.own_window_yaw_increment_rad"]).any()

@@ -1,0 +1,83 @@
+"""Pictures, poses and calibrations belong together: what stands at a known place appears at the computed pixel."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import simplejpeg
+
+from mixo_env.nuscenes.selections import ALL_CAMERAS
+from mixo_env.nuscenes.tables import open_dataset
+from mixo_env.simulator import dataset
+from mixo_env.simulator.config import SimulationConfig, SituationShares
+from mixo_env.simulator.dataset import simulate
+from mixo_env.simulator.render import Renderer
+from mixo_env.simulator.scenario import plan_logs
+from mixo_env.simulator.scenes import camera_pose, scene_drive
+from mixo_env.simulator.vehicles import VEHICLE_KINDS, VehicleState
+from mixo_env.simulator.world import build_world
+
+CONFIG = SimulationConfig(scenes=1, seconds=2, width=320, height=180, cameras=("CAM_FRONT", "CAM_BACK"))
+
+
+@pytest.fixture(scope="module")
+def renderer() -> Renderer:
+    """A tiny city by overcast day."""
+    world = build_world(3, half_blocks=1, variety=4, ground_side=512)
+    day = Renderer(world, "day").weather
+    return Renderer(world, replace(day, sun=0.0))
+
+
+@pytest.mark.parametrize("channel", ALL_CAMERAS)
+def test_a_van_at_a_known_place_appears_where_the_tables_say(renderer, channel):
+    config = replace(CONFIG, cameras=ALL_CAMERAS)
+    log = plan_logs(config)[0]
+    drive = scene_drive(config, log, log.scenes[0])
+    drive = replace(drive, x_m=drive.x_m + 700.0)  # out of town: nothing stands in the way
+    x, y, yaw = (float(drive.at(name, 1.0)) for name in ("x_m", "y_m", "yaw_rad"))
+    true, written = log.rig.true[channel], log.rig.written[channel]
+
+    axis = written.rotation_ego_from_camera[:, 2]
+    bearing = yaw + np.arctan2(axis[1], axis[0])
+    van = VehicleState("van", 2, x + 13.0 * np.cos(bearing), y + 13.0 * np.sin(bearing), bearing + 0.5 * np.pi)
+    poses = [camera_pose(drive, true.rotation_ego_from_camera, true.translation_m, t) for t in (1.0, 1.0)]
+    with_van, without = (renderer.render(true, *poses, vehicles, gain=1.0).image for vehicles in ([van], []))
+    changed = np.abs(with_van.astype(int) - without.astype(int)).sum(axis=2) > 30
+
+    # Corners of the van's box from the written calibration and the flat pose, by hand.
+    size = VEHICLE_KINDS["van"]
+    corners = np.array([[u, v, w] for u in (-0.5, 0.5) for v in (-0.5, 0.5) for w in (0.0, 1.0)])
+    corners *= (size.length_m, size.width_m, size.height_m)
+    c, s = np.cos(van.yaw_rad), np.sin(van.yaw_rad)
+    on_map = np.stack(
+        [van.x_m + c * corners[:, 0] - s * corners[:, 1], van.y_m + s * corners[:, 0] + c * corners[:, 1]]
+    )
+    c, s = np.cos(yaw), np.sin(yaw)
+    dx, dy = on_map[0] - x, on_map[1] - y
+    in_ego = np.stack([c * dx + s * dy, -s * dx + c * dy, corners[:, 2]])
+    in_camera = written.rotation_ego_from_camera.T @ (in_ego - written.translation_m[:, None])
+    assert in_camera[2].min() > 5.0
+    u, v, _ = written.intrinsic @ (in_camera / in_camera[2])
+
+    columns = np.flatnonzero(changed.sum(axis=0) > 4)
+    rows = np.flatnonzero(changed.sum(axis=1) > 25)
+    assert (columns[0], columns[-1]) == (pytest.approx(u.min(), abs=5.0), pytest.approx(u.max(), abs=5.0))
+    assert rows[0] == pytest.approx(v.min(), abs=5.0)
+    assert rows[-1] == pytest.approx(v.max(), abs=5.0)
+
+
+def test_every_row_of_the_tables_has_its_picture(renderer, tmp_path, monkeypatch):
+    shares = dict.fromkeys(SituationShares().by_name(), 0.0)
+    config = replace(CONFIG, situations=SituationShares(**shares | {"fast_straight": 1.0}))
+    monkeypatch.setattr(dataset, "_renderer", lambda *_: renderer)
+    simulate(config, tmp_path / "city")
+    scene = open_dataset(tmp_path / "city").load("scene-2001", ("CAM_FRONT", "CAM_BACK"))
+    for track in scene.cameras.values():
+        images = [simplejpeg.decode_jpeg(path.read_bytes(), "GRAY") for path in track.image_paths]
+        assert {image.shape for image in images} == {(180, 320, 1)}
+        assert len({path.read_bytes() for path in track.image_paths}) == len(images)  # no picture twice
+    simulate(config, tmp_path / "again")
+    for path in (tmp_path / "city").rglob("*.jpg"):
+        assert path.read_bytes() == (tmp_path / "again" / path.relative_to(tmp_path / "city")).read_bytes()

@@ -1,0 +1,121 @@
+"""Worlds of a few plain patches, cameras of a car, and an independent ray caster, for the tests of the renderer."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixo_env.geometry import rotation_from_quaternion_wxyz, rotation_from_yaw
+from mixo_env.nuscenes.scene import CameraCalibration
+from mixo_env.simulator.mesh import Patch, Surface, mesh_of, packed
+from mixo_env.simulator.render import CameraPose
+from mixo_env.simulator.textures import Atlas, Bytes, rgba
+from mixo_env.simulator.weather import Weather
+from mixo_env.simulator.world import World, packed_detail
+
+SUN = np.array([0.6, 0.0, 0.8])
+
+FLAT = Weather(
+    "test",
+    shutter_s=0.02,
+    sun=0.0,
+    ambient=1.0,
+    colour=(1.0, 1.0, 1.0),
+    haze_per_m=0.0,
+    haze=(0.0, 0.0, 0.0),
+    zenith=(0.0, 0.0, 0.0),
+    clouds=0.0,
+    lamps=0.0,
+    wetness=0.0,
+    exposure_target=0.2,
+    largest_gain=1.0,
+    shot_noise=0.0,
+    read_noise=0.0,
+)
+"""Even light, black sky, no noise: a pixel is bright exactly where a white patch is."""
+
+MOUNTS = {
+    "CAM_FRONT": ((1.70, 0.016, 1.511), (0.4998, -0.5030, 0.4998, -0.4974), 1266.4, 816.3, 491.5),
+    "CAM_FRONT_LEFT": ((1.524, 0.495, 1.509), (0.6757, -0.6736, 0.2121, -0.2112), 1272.6, 826.6, 479.8),
+    "CAM_BACK_RIGHT": ((1.015, -0.481, 1.562), (0.1228, -0.1324, -0.7004, 0.6905), 1259.5, 807.3, 501.2),
+    "CAM_BACK": ((0.028, 0.003, 1.579), (0.5038, -0.4974, -0.4942, 0.5045), 809.2, 829.2, 481.8),
+}
+
+
+def camera(channel: str, scale: float = 0.2) -> CameraCalibration:
+    """A camera of the rig at ``scale`` of 1600 x 900."""
+    mount, quaternion, focal, cx, cy = MOUNTS[channel]
+    intrinsic = np.array(
+        [
+            [scale * focal, 0.0, scale * (cx + 0.5) - 0.5],
+            [0.0, scale * focal, scale * (cy + 0.5) - 0.5],
+            [0.0, 0.0, 1.0],
+        ]
+    )
+    rotation = rotation_from_quaternion_wxyz(quaternion)
+    return CameraCalibration(channel, intrinsic, rotation, np.array(mount), int(1600 * scale), int(900 * scale))
+
+
+def pose(calibration: CameraCalibration, x_m: float, y_m: float, yaw_rad: float) -> CameraPose:
+    """Camera pose of a car that stands flat at (x, y, yaw)."""
+    turn = rotation_from_yaw(yaw_rad)
+    position = np.array([x_m, y_m, 0.0]) + turn @ calibration.translation_m
+    return CameraPose(turn @ calibration.rotation_ego_from_camera, position)
+
+
+@cache
+def _open_ground() -> tuple[NDArray[np.uint8], NDArray[np.float32]]:
+    return np.full((4096, 4096), 255, np.uint8), np.zeros((2048, 2048), np.float32)
+
+
+def world_of(textures: Sequence[Bytes], patches: Sequence[Patch]) -> World:
+    """A world of these textures (by number) and patches, without fine grain, vehicles or shadows."""
+    atlas = Atlas()
+    for texture in textures:
+        atlas.add(texture)
+    texels, table = atlas.packed()
+    detail, detail_start = packed_detail(np.full((512, 512), 127, np.uint8))
+    sunlight, field = _open_ground()
+    return World(
+        seed=0,
+        sun=SUN,
+        static=packed([mesh_of([patch]) for patch in patches], SUN),
+        vehicles={},
+        texels=texels,
+        table=table,
+        detail=detail,
+        detail_start=detail_start,
+        sky=np.zeros((512, 512), np.uint8),
+        sunlight=sunlight,
+        shadow_height=field,
+        lamp_light=np.zeros((1024, 1024), np.float32),
+        ground_texels_per_m=16.0,
+    )
+
+
+def plain_texture(red: float, green: float, blue: float, fourth: float = 0.0) -> Bytes:
+    """One colour, 16 x 16."""
+    return rgba(np.full((16, 16, 3), (red, green, blue), np.float32), fourth)
+
+
+def surface(texture: int, shape: int = 0) -> Surface:
+    """A surface without grain, 16 texels a metre."""
+    return Surface(texture, (16.0, 16.0), detail=0.0, shape=shape)
+
+
+def cast(calibration: CameraCalibration, at: CameraPose, patch: Patch) -> tuple[NDArray[np.float64], ...]:
+    """Independent oracle: for every pixel s, t and distance along the optical axis of the plane of ``patch``; inf behind."""
+    v, u = np.mgrid[0 : calibration.height, 0 : calibration.width].astype(np.float64)
+    rays = np.stack([u, v, np.ones_like(u)], axis=-1) @ np.linalg.inv(calibration.intrinsic).T
+    rays = rays @ at.rotation_map_from_camera.T
+    origin, edge_u, edge_v = (np.array(part) for part in patch[:3])
+    normal = np.cross(edge_u, edge_v)
+    with np.errstate(divide="ignore"):
+        depth = ((origin - at.position_m) @ normal) / (rays @ normal)
+    points = at.position_m + depth[..., None] * rays - origin
+    s = points @ edge_u / (edge_u @ edge_u)  # edges at right angles
+    t = points @ edge_v / (edge_v @ edge_v)
+    return s, t, np.where(depth > 0.0, depth, np.inf)
