@@ -44,10 +44,9 @@ def conventions(board: Leaderboard) -> list[str]:
     if protocol.foreign:
         folds = "Fewer than two folds: learned policies were fitted on the bundled recordings."
     else:
-        folds = (
-            f"{len(protocol.folds)} folds by log: learned policies are fitted on the other folds; "
-            f"{', '.join(ONE_FOLD)} on all but the last one only."
-        )
+        folds = f"{len(protocol.folds)} folds by log: learned policies are fitted on the other folds."
+        if any(table.one_fold is not None for table in board.tables):
+            folds += f" {', '.join(ONE_FOLD)} is fitted once and tested on fold {protocol.folds[-1]}."
     lines = [
         f"Data {recordings.manifest.data_version}: {len(recordings)} scenes of {board.logs} logs"
         + (f", {protocol.left_out} scenes outside the folds left out" if protocol.left_out else "")

@@ -7,6 +7,7 @@ is 0.2, so that both look at the same pieces. evo is timed on a sample of the sc
 
 from __future__ import annotations
 
+import os
 import statistics
 import subprocess
 import sys
@@ -86,12 +87,16 @@ class ScoringBenchmark:
     def _start(self, pair: tuple[Path, Path]) -> None:
         command = [sys.executable, "-m", "experiments.cli", "evaluate"]
         command += ["--groundtruth", str(pair[0]), "--estimate", str(pair[1])]
-        times = []
+        wall, cpu = [], []
         for _ in range(self.repeats):
-            start = time.perf_counter()
+            start, used = time.perf_counter(), os.times()
             subprocess.run(command, check=True, capture_output=True)
-            times.append(time.perf_counter() - start)
-        print(f"mixo evaluate, one pair, start to result: {statistics.median(times):.2f} s of wall clock")
+            wall.append(time.perf_counter() - start)
+            cpu.append(sum(os.times()[2:4]) - sum(used[2:4]))
+        print(
+            f"mixo evaluate, one pair, start to result: {statistics.median(wall):.2f} s of wall clock, "
+            f"{statistics.median(cpu):.2f} s of CPU"
+        )
 
 
 def drives(scenes: int, poses: int, seed: int = 0) -> tuple[Planar, Planar]:

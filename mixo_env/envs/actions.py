@@ -73,6 +73,24 @@ class ActionRule:
             return np.concatenate([shares, numbers[:, self._experts :]], axis=1).astype(np.float32)
         return numbers
 
+    def weights(self, numbers: NDArray[np.float32], votes: NDArray[np.bool_]) -> NDArray[np.float64]:
+        """Weights ``(batch, experts)`` that :meth:`read` numbers amount to, for those who want to see them.
+
+        Args:
+            numbers: ``(batch, width)``.
+            votes: ``(batch, experts)``: which experts vote; the others weigh nothing.
+        """
+        scores = self.scale * numbers[:, : self._experts].astype(np.float64)
+        if self.exponential:
+            scores = np.exp(scores)
+        scores = np.where(votes, scores, 0.0)
+        if not self.shares:
+            return scores
+        total = scores.sum(axis=-1, keepdims=True)
+        return np.where(total > 0.0, scores, votes) / np.where(
+            total > 0.0, total, np.maximum(votes.sum(-1, keepdims=True), 1)
+        )
+
     def complain(self, numbers: NDArray[np.float32]) -> None:
         """Raise :class:`ConfigurationError` about the first of ``numbers`` that is not in [-1, 1], if there is one."""
         wrong = numbers[~(np.abs(numbers) <= 1.0)]

@@ -100,7 +100,7 @@ class BudgetReplay(Replay):
         self.delivers[which] = True
 
     def switch(self, which: NDArray[np.bool_], on: NDArray[np.bool_]) -> None:
-        """Where ``which``, let the cameras ``on`` ``(batch, cameras)`` process the image that closes the coming step."""
+        """Where ``which``, let the cameras ``on`` ``(batch, cameras)`` process the image closing the coming step."""
         delivers = self.delivers.copy()
         delivers[:, self._expert_of_camera] = on & self.awake
         self.delivers[which] = delivers[which]
@@ -193,7 +193,57 @@ class BudgetSession(Session):
 
 
 class MixoOdometryBudgetEnv(MixoOdometryEnv):
-    """DOC."""
+    """`MixoOdometry-v0` in which cameras cost time: decide also which of them to process next.
+
+    ## Description
+    As in `MixoOdometry-v0` the agent weights the experts of this step; besides, it switches every camera on or off for
+    the image that closes the *next* step. A camera without memory compares two images: it delivers for a step if both
+    the image that opened and the image that closed it were processed. A woken camera therefore delivers one step late
+    and pays for both images; meanwhile what it would say about its matches is masked. The increments replayed are the
+    stateless ones of two images (`two_frame_yaw_increment_rad`), so the replay equals an odometry whose cameras really
+    were switched.
+
+    ## Action space
+    `Box(-1, 1, (N + C,), float32)`: N weights as in `MixoOdometry-v0` (`weights="select"` does not exist here), then C
+    switches in the order of `env.unwrapped.session.replay.cameras`: on if > 0.
+
+    ## Observation space
+    As in `MixoOdometry-v0`, without `yaw_rate_std`, and with `awake` at the end (before a privileged truth):
+
+    | name | width | range | unit | meaning |
+    |---|---|---|---|---|
+    | `awake` | C | 0 to 1 | 0 or 1 | the image that closes this step was processed |
+
+    For a camera that does not deliver, `yaw_rates` holds the inertial substitute, `available` and everything about
+    matches is 0, and `state` is 0 (initialising) if it just woke and 3 (no image) if it sleeps.
+
+    ## Reward
+    That of `MixoOdometry-v0` plus `reward_cost` = -`price_per_ms` x `cost_ms`, the fixed cost (manifest of the
+    recordings) of the images that this action's switches have processed; both are in `info`. The last action of a scene
+    costs nothing: no image follows.
+
+    ## Starting state
+    As in `MixoOdometry-v0`. The first two images of every camera are processed and free: nobody could decide.
+
+    ## Episode end
+    As in `MixoOdometry-v0`.
+
+    ## Info
+    As in `MixoOdometry-v0`, with `reward_cost` and `cost_ms` in every step.
+
+    ## Arguments
+    Those of `MixoOdometry-v0` and
+
+    | option | default | meaning |
+    |---|---|---|
+    | `price_per_ms` | `0.01` | reward lost per millisecond of image processing |
+
+    ## Vectorised use
+    `gymnasium.make_vec("mixo_env:MixoOdometryBudget-v0", num_envs=64)`, as there.
+
+    ## Version history
+    * v0: first version.
+    """
 
     session_class = BudgetSession
     settings_class = BudgetSettings

@@ -55,10 +55,10 @@ class SceneImages:
 
     def _find(self, scene: int) -> dict[str, list[Path | None]]:
         name, rows = self._recordings.scenes[scene].name, self._recordings.rows(scene)
-        tracks = self._dataset.load(name, cameras=self.cameras).cameras
         found = {}
         for camera in self.cameras:
-            track, offset = tracks[camera], rows[f"{camera}.image_time_offset_s"].astype(np.float64)
+            track = self._dataset.track(name, camera)
+            offset = rows[f"{camera}.image_time_offset_s"].astype(np.float64)
             fired = np.isfinite(offset)
             wanted = rows["timestamp_us"] + np.round(1e6 * np.where(fired, offset, 0.0)).astype(np.int64)
             nearest = np.abs(track.timestamp_us[None, :] - wanted[:, None]).argmin(axis=1)
@@ -68,6 +68,5 @@ class SceneImages:
                     f"{name}: {camera} has no image at {wanted[missed][0]} us in this folder: dataroot must be the "
                     "folder that was recorded"
                 )
-            paths = [track.image_paths[i] if seen else None for i, seen in zip(nearest, fired, strict=True)]
-            found[camera] = paths
+            found[camera] = [track.image_paths[i] if seen else None for i, seen in zip(nearest, fired, strict=True)]
         return found

@@ -18,7 +18,125 @@ RENDER_MODES = ["ansi", "rgb_array"]
 
 
 class MixoOdometryEnv(gym.Env[Any, Any]):
-    """DOC."""
+    """Decide, image by image, how much to trust each camera of a car's rig.
+
+    ## Description
+    Several experts - odometries of single cameras, and usually an inertial one - report by how much the car has turned
+    since the last step. The agent weights them; the weighted turn (eq. 3) is added to the car's yaw (eq. 4), the
+    distance from the wheels moves it along (eq. 1), and the closer the turn was to the truth, the better. An episode is
+    one recorded drive of about 20 s at about 12 steps a second. Experts ran when the scene was recorded and are
+    replayed exactly: no image is processed here.
+
+    The game is nearly a contextual bandit: an action moves the estimate, but of what comes next it changes only the
+    observed previous yaw rate. A discount factor of 0 is a good start.
+
+    ## Action space
+    `Box(-1, 1, (N,), float32)` for N experts in the order of `env.unwrapped.session.replay.experts`; with
+    `weights="select"` `Discrete(N)`. What the numbers mean is the option `weights`:
+
+    | `weights` | the experts' weights |
+    |---|---|
+    | `"softmax"` | softmax of 5 x action: positive, sum 1 (the paper's gate) |
+    | `"simplex"` | the nearest point to the action with weights >= 0 and sum 1 |
+    | `"raw"` | `raw_scale` x action: any sign, any sum |
+    | `"select"` | 1 for the chosen expert |
+
+    NaN, numbers outside [-1, 1], another shape or dtype raise `ConfigurationError` and change nothing.
+
+    ## Observation space
+    `observation="paper"` (default) is a flat float32 `Box` of the first four rows: x_k of the paper, then what the
+    experts say. `"rich"` is all rows. `"dict"` is all rows by name, one level deep. `"pixels"` (needs `dataroot`) is
+    `{"state": the paper's Box, camera: uint8 (64, 112, 3) image of this step}`. C is the number of cameras.
+
+    | name | width | range | unit | meaning |
+    |---|---|---|---|---|
+    | `previous_yaw_rate` | 1 | -3.1416 to 3.1416 | rad/s | yaw rate over the previous step, see `previous` |
+    | `speed` | 1 | -60 to 60 | m/s | longitudinal speed at the end of the previous step |
+    | `matches` | C | 0 to 10000 | count | matched features, 0 unless the camera is tracking |
+    | `yaw_rates` | N | -3.1416 to 3.1416 | rad/s | yaw rate over this step, substituted if lost |
+    | `dt` | 1 | 0 to 1 | s | duration of this step |
+    | `available` | N | 0 to 1 | 0 or 1 | the expert delivered an increment of its own |
+    | `inliers` | C | 0 to 10000 | count | matches that agree with the motion |
+    | `residual_px` | C | 0 to 100 | px | median reprojection residual of the inliers |
+    | `flow_px` | C | 0 to 2000 | px | median displacement of the matches |
+    | `state` | C | 0 to 3 | code | 0 initialising, 1 tracking, 2 lost, 3 no image |
+    | `yaw_rate_std` | N | 0 to 3.1416 | rad/s | the expert's own standard deviation |
+    | `disagreement` | N | -6.2832 to 6.2832 | rad/s | yaw rate minus the median of those available |
+
+    All of it is known when the step closes, nothing later. What is missing is 0, with `available` 0. Values are clipped
+    to their range. `speed` and `previous_yaw_rate` belong to the step before; in the first step the inertial yaw rate
+    of that step stands in for the previous one. After the last step nothing follows: the observation is the last one
+    again, with the new previous yaw rate. Ground truth is in no observation, unless asked for by name:
+    `previous="truth"`, or `privileged=True`, which appends `truth_yaw_rate`.
+
+    ## Reward
+    With the error e of the fused yaw increment, in units of sigma_0 (1.4826 x median absolute deviation of the error of
+    LINEAR, the best constant weights, on this track; imported experts: 0.05 deg) and capped at 10 units:
+
+    | `reward` | per step | terms in `info` |
+    |---|---|---|
+    | `"squared"` | -e^2 | `reward_yaw` |
+    | `"abs"` | -abs(e) | `reward_yaw` |
+    | `"improvement"` | LINEAR's e^2 - e^2; LINEAR fitted outside the held-out fold | `reward_yaw`, `reward_linear` |
+    | `"pose"` | -d^2, d = distance from the true position [m], capped at 10 | `reward_position` |
+
+    ## Starting state
+    A scene drawn at random (`order="random"`) or the next one of the split (`order="fixed"`, from the first after every
+    seeded reset: a pass for evaluation), or the one asked for by `reset(options={"scene": name})`. The first pose is
+    the true one.
+
+    ## Episode end
+    `truncated` is True after the scene's last step; `terminated` never is: nothing the agent does ends a drive.
+
+    ## Info
+    Every step: `yaw_increment_rad` (fused), `yaw_error_rad` (fused minus true), the reward's terms, and with `dataroot`
+    `images`, the path of every camera's image of the step to be decided next. Reset: `scene`. Last step: `scores` with
+    `scene`, `ate_m`, `ate_deg` (RMSE of position and yaw over all poses, not aligned) and `yaw_rmse_deg` (of the
+    increments).
+
+    ## Arguments
+    | option | default | meaning |
+    |---|---|---|
+    | `recordings` | `None` | folder or name of recordings, or a `Recordings`; `None`: the bundled `mixocity` |
+    | `track` | `"CONSUMER"` | who votes: `"PAPER"`, `"VISION"` (cameras alone) or `"CONSUMER"`; never compare across |
+    | `split` | `"train"` | `"train"`: all folds but `fold`; `"test"`: that fold; `"all"`: both; `"ood"`: night |
+    | `fold` | `3` | the fold held out |
+    | `conditions` | `None` | only scenes that show all of these, e.g. `["rain"]` |
+    | `experts` | `None` | two or more voters of the track, in the order of the weights |
+    | `observation` | `"paper"` | see above |
+    | `privileged` | `False` | append the true yaw rate to the observation |
+    | `weights`, `raw_scale` | `"softmax"`, `4.0` | see above |
+    | `previous` | `"fused"` | previous yaw rate: the fused one, `"inertial"`, or `"truth"` (privileged: for training) |
+    | `lost` | `"inertial"` | lost experts vote with the track's inertial increment, or `"mask"`: they do not vote |
+    | `reward` | `"squared"` | see above |
+    | `order` | `"random"` | see above |
+    | `faults` | `()` | faults to inject, as `mixo_env.envs.faults.Fault` or dicts of its fields |
+    | `dataroot` | `None` | the nuScenes folder that was recorded, for `images` and `"pixels"` |
+    | `render_mode` | `None` | `"ansi"`: one line; `"rgb_array"`: a frame of 540 x 960, drawn without a display |
+
+    An unknown option or value raises `ConfigurationError`, which names the nearest valid one. With `lost="mask"` the
+    other experts share the weight of the masked ones (`"raw"`: they do not); where nobody votes, the inertial increment
+    bridges.
+
+    ## Vectorised use
+    `gymnasium.make_vec("mixo_env:MixoOdometry-v0", num_envs=1024)` steps all scenes in one compiled loop and equals the
+    single environment step for step. It takes the same options and `autoreset_mode` (`"NEXT_STEP"`, `"SAME_STEP"`, or
+    `"DISABLED"` with `reset(options={"reset_mask": mask})`).
+
+    ```python
+    import gymnasium as gym
+
+    env = gym.make("mixo_env:MixoOdometry-v0")
+    observation, info = env.reset(seed=0)
+    truncated = False
+    while not truncated:
+        observation, reward, terminated, truncated, info = env.step(env.action_space.sample())
+    print(info["scores"])
+    ```
+
+    ## Version history
+    * v0: first version. Scores may move until release 1.0.0; until then quote the data version of the recordings.
+    """
 
     metadata: dict[str, Any] = {"render_modes": RENDER_MODES, "render_fps": 12}  # noqa: RUF012 (typed by Gymnasium)
     session_class: ClassVar[type[Session]] = Session
@@ -27,7 +145,8 @@ class MixoOdometryEnv(gym.Env[Any, Any]):
     def __init__(self, *, render_mode: str | None = None, **options: Any) -> None:
         """Build the environment; see the class for the options."""
         self.render_mode = checked_render_mode(render_mode)
-        self.session = self.session_class(self.settings_class.read(options), 1)
+        settings = self.settings_class.read(options)
+        self.session = self.session_class(settings, 1, keep_trajectories=render_mode is not None)
         self.observation_space = self.session.observation_space
         self.action_space = self.session.rule.space
         self._ended = True
@@ -40,7 +159,7 @@ class MixoOdometryEnv(gym.Env[Any, Any]):
         self.session.begin(np.arange(1), self.np_random, options)
         self._ended = False
         self._scene = self.session.scene_names(np.ones(1, np.bool_))[0]
-        return entry(self.session.observe(), 0), {"scene": self._scene}
+        return entry(self.session.observe(), 0), {"scene": self._scene} | self._image_info()
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Weigh the experts for one step."""
@@ -54,7 +173,17 @@ class MixoOdometryEnv(gym.Env[Any, Any]):
         if self._ended:
             scores = {name: float(values[0]) for name, values in session.replay.scores().items()}
             info["scores"] = {"scene": self._scene, **scores}
+        if session.images:
+            info |= self._image_info()
         return entry(observation, 0), reward, False, self._ended, info
+
+    def render(self) -> Any:
+        """A line (``"ansi"``) or a frame ``(540, 960, 3)`` RGB (``"rgb_array"``) about the scene as it stands."""
+        return rendered(self, self.session)[0] if self.render_mode else None
+
+    def _image_info(self) -> dict[str, Any]:
+        paths = self.session.image_paths(0)
+        return {"images": {camera: path and str(path) for camera, path in paths.items()}} if paths else {}
 
 
 class MixoOdometryVectorEnv(VectorEnv[Any, Any, Any]):
@@ -102,7 +231,7 @@ class MixoOdometryVectorEnv(VectorEnv[Any, Any, Any]):
         mask = self._reset_mask(options)
         self.session.begin(np.flatnonzero(mask), self.np_random, options)
         self._ended &= ~mask
-        return self.session.observe(), self._reset_info(mask)
+        return self.session.observe(), self._reset_info(mask) | self._image_info(mask)
 
     def step(
         self, actions: Any
@@ -122,7 +251,7 @@ class MixoOdometryVectorEnv(VectorEnv[Any, Any, Any]):
         told = dict(zip(session.reward.report[1:], report[1:], strict=True))
         if ended and mode is AutoresetMode.SAME_STEP:
             info |= {"final_obs": self._listed(observation, truncated), "_final_obs": truncated.copy()}
-            final = only(told, truncated) | self._scores(truncated)
+            final = only(told, truncated) | self._scores(truncated) | self._image_info(truncated)
             info |= {"final_info": final, "_final_info": truncated.copy()}
             session.begin(np.flatnonzero(truncated), self.np_random)
             observation = session.observe()
@@ -133,7 +262,13 @@ class MixoOdometryVectorEnv(VectorEnv[Any, Any, Any]):
             if ended:
                 info |= self._scores(truncated)
             self._ended = truncated.copy()
+        if session.images:
+            info |= self._image_info(np.ones(self.num_envs, np.bool_))
         return observation, reward, np.zeros(self.num_envs, np.bool_), truncated, info
+
+    def render(self) -> tuple[Any, ...] | None:
+        """One line or frame per environment, see :meth:`MixoOdometryEnv.render`."""
+        return rendered(self, self.session) if self.render_mode else None
 
     def _reset_mask(self, options: dict[str, Any] | None) -> NDArray[np.bool_]:
         mask = (options or {}).get("reset_mask")
@@ -153,12 +288,29 @@ class MixoOdometryVectorEnv(VectorEnv[Any, Any, Any]):
         mask = truncated.copy()
         return {"scores": masked(scores, mask), "_scores": mask}
 
+    def _image_info(self, mask: NDArray[np.bool_]) -> dict[str, Any]:
+        if not self.session.images:
+            return {}
+        info: dict[str, Any] = {c: np.full(self.num_envs, None, dtype=object) for c in self.session.images.cameras}
+        for i in np.flatnonzero(mask).tolist():
+            for camera, path in self.session.image_paths(i).items():
+                info[camera][i] = path and str(path)
+        return {"images": masked(info, mask.copy()), "_images": mask.copy()}
+
     def _listed(self, observation: Any, truncated: NDArray[np.bool_]) -> NDArray[Any]:
         """Observations of the scenes that ended, one by one in an object array (Gymnasium's ``final_obs``)."""
         listed = np.full(self.num_envs, None, dtype=object)
         for i in np.flatnonzero(truncated).tolist():
             listed[i] = entry(observation, i)
         return listed
+
+
+def rendered(env: MixoOdometryEnv | MixoOdometryVectorEnv, session: Session) -> tuple[Any, ...]:
+    """What every scene of the batch looks like in the environment's render mode."""
+    from mixo_env.envs import rendering
+
+    show = rendering.describe if env.render_mode == "ansi" else rendering.draw
+    return tuple(show(session, i) for i in range(session.replay.batch))
 
 
 def entry(observation: Any, i: int) -> Any:

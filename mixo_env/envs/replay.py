@@ -196,6 +196,11 @@ class Replay:
             course_offset_rad=float(self._course_offset[scene]),
         )
 
+    def recording_row(self, entry: int) -> int:
+        """Row of its scene's recording that a batch entry decides about next (at the end: the last one)."""
+        state = self.state[entry]
+        return int(state["row"] - self.starts[state["scene"]]["first"]) + 1
+
     def true_trajectory(self, scene: int) -> tuple[FloatArray, FloatArray, FloatArray]:
         """True x [m], y [m], yaw [rad, unwrapped] ``(steps + 1,)`` of a scene, map frame."""
         rows = self.recordings.rows(scene)

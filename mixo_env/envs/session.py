@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,7 +19,7 @@ from mixo_env.envs.stepping import RULES, play
 from mixo_env.errors import ConfigurationError, RecordingError, unknown
 from mixo_env.recordings.collection import Recordings
 
-Observation = NDArray[np.float32] | dict[str, NDArray[np.float32]]
+Observation = NDArray[np.float32] | dict[str, NDArray[Any]]
 
 RESET_OPTIONS = ("scene", "reset_mask")
 
@@ -33,6 +34,8 @@ class Session:
         rule: actions -> weights.
         reward: errors -> reward terms.
         observation_space: of one environment.
+        images: of the cameras, if a ``dataroot`` was given.
+        weights: ``(batch, experts)`` of the last step; kept up to date only where trajectories are kept.
     """
 
     def __init__(self, settings: Settings, batch: int, *, keep_trajectories: bool = True) -> None:
@@ -53,8 +56,19 @@ class Session:
         layout = self.replay.layout
         self._named_parts = settings.observation == "dict"
         self.observation_space: spaces.Space[Any] = layout.dict() if self._named_parts else layout.box()
+        self.images = None
+        if settings.dataroot is not None:
+            from mixo_env.envs.images import THUMBNAIL, SceneImages
+
+            self.images = SceneImages(self.recordings, settings.dataroot, self.replay.cameras)
+            if settings.observation == "pixels":
+                picture = spaces.Box(0, 255, THUMBNAIL, dtype=np.uint8)
+                pictures = dict.fromkeys(self.replay.cameras, picture)
+                self.observation_space = spaces.Dict({"state": layout.box(), **pictures})
+        self.weights = np.zeros((batch, len(self.replay.experts)))
         self._names = np.array([scene.name for scene in self.recordings.scenes], dtype=object)
         self._next = 0
+        self._keep_trajectories = keep_trajectories
         self.replay.reset(np.zeros(batch, np.int64))
         self._game = self._compiled_arguments()
         self._report_shape = len(self.reward.report), batch
@@ -88,6 +102,8 @@ class Session:
         else:
             scenes = rng.integers(len(self.recordings), size=len(which))
         self.replay.restart(which, scenes, pause=pause)
+        if self._keep_trajectories:
+            self.weights[which] = 0.0
 
     def play(self, actions: NDArray[np.float32]) -> tuple[Observation, NDArray[np.float64], int]:
         """One step of every scene that has not ended and is not paused.
@@ -102,6 +118,11 @@ class Session:
         Raises:
             ConfigurationError: for NaN and for numbers out of range; nothing has changed then.
         """
+        if self._keep_trajectories:
+            votes = np.isfinite(self.replay.increments[self.replay.state["row"]]) & (
+                self.replay.delivers | (not self.replay.mask)
+            )
+            self.weights = self.rule.weights(actions, votes)
         flat, report, ended = self._step(actions)
         return self._dressed(flat), report, ended
 
@@ -115,6 +136,12 @@ class Session:
         which = np.flatnonzero(mask)
         names[which] = self._names[self.replay.state["scene"][which]]
         return names
+
+    def image_paths(self, entry: int) -> dict[str, Path | None]:
+        """Image of each camera that closes the step a batch entry decides about next; empty without ``dataroot``."""
+        if self.images is None:
+            return {}
+        return self.images.paths(int(self.replay.state["scene"][entry]), self.replay.recording_row(entry))
 
     def _build_replay(self, recordings: Recordings, keep_trajectories: bool) -> Replay:
         s = self.settings
@@ -138,7 +165,13 @@ class Session:
         return flat, report, ended
 
     def _dressed(self, flat: NDArray[np.float32]) -> Observation:
-        return self.replay.layout.split(flat) if self._named_parts else flat
+        if self._named_parts:
+            return self.replay.layout.split(flat)
+        if self.images is not None and self.settings.observation == "pixels":
+            read = self.images.read
+            paths = [self.image_paths(entry) for entry in range(len(flat))]
+            return {"state": flat, **{camera: np.stack([read(p[camera]) for p in paths]) for camera in paths[0]}}
+        return flat
 
     def _compiled_arguments(self) -> tuple[NDArray[Any], ...]:
         """What :func:`~mixo_env.envs.stepping.play` takes besides the arrays that are fresh in every step."""

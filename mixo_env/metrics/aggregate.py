@@ -78,11 +78,11 @@ def per_length(samples: RelativeSamples) -> tuple[LengthScore, ...]:
     """Statistics at each length that was asked for, also those without a sample."""
     scores = []
     for length in samples.lengths_m:
-        here = samples.length_m == length
+        here = np.flatnonzero(samples.length_m == length)
         scores.append(
             LengthScore(
                 length_m=length,
-                samples=int(np.count_nonzero(here)),
+                samples=len(here),
                 scenes=_distinct(samples.scene[here]),
                 translation_m=statistics(samples.translation_m[here]),
                 translation_percent=statistics(samples.translation_percent[here]),

@@ -12,7 +12,7 @@ drawn are dropped: in a street most of the city is hidden by the first row of ho
 from __future__ import annotations
 
 import numpy as np
-from numba import float32, njit
+from numba import float32, int32, njit
 from numpy.typing import NDArray
 
 from mixo_env.simulator.mesh import CUT_OUT, TRIANGLE, TWO_SIDED, PatchSet
@@ -83,10 +83,18 @@ def _visible_groups(groups, rotation, position, lens, width, height, far, neares
 def _farthest(depth, out):
     """Smallest 1/z of every tile of ``_TILE`` x ``_TILE`` pixels."""
     height, width = depth.shape
-    out[:] = float32(1e9)
-    for y in range(height):
-        for x in range(width):
-            out[y // _TILE, x // _TILE] = min(out[y // _TILE, x // _TILE], depth[y, x])
+    line = np.empty(width, np.float32)
+    for tile_row in range(out.shape[0]):
+        line[:] = depth[tile_row * _TILE]
+        for y in range(tile_row * _TILE + 1, min((tile_row + 1) * _TILE, height)):
+            row = depth[y]
+            for x in range(width):
+                line[x] = row[x] if row[x] < line[x] else line[x]
+        for column in range(out.shape[1]):
+            least = line[column * _TILE]
+            for x in range(column * _TILE + 1, min((column + 1) * _TILE, width)):
+                least = min(least, line[x])
+            out[tile_row, column] = least
 
 
 @njit(cache=True, error_model="numpy")
@@ -124,6 +132,17 @@ def _rows(corner, corners, fy, cy, height):
             row = (corner[j, 1] + f * (corner[k, 1] - corner[j, 1])) / NEAR_M * fy + cy
             lowest, highest = min(lowest, row), max(highest, row)
     return max(0, int(np.ceil(max(lowest, 0.0)))), int(np.floor(min(highest, height - 1.0)))
+
+
+@njit(cache=True, error_model="numpy")
+def _fill(depth, owner, start, step, slot):
+    """Keep the nearer of what is there and a span whose 1/z begins at ``start``; unconditional stores run in SIMD."""
+    first, slope, number = float32(start), float32(step), int32(slot)
+    for i in range(depth.shape[0]):
+        w, before = first + slope * float32(i), depth[i]
+        nearer = w > before
+        depth[i] = w if nearer else before
+        owner[i] = number if nearer else owner[i]
 
 
 @njit(cache=True, error_model="numpy")
@@ -165,6 +184,7 @@ def _draw(
     slant_x = np.sqrt(1.0 + max(cx / fx, (width - cx) / fx) ** 2)
     slant_y = np.sqrt(1.0 + max(cy / fy, (height - cy) / fy) ** 2)
     corner = np.empty((4, 3))
+    crossing = np.empty((6, 2))
     half_plane = np.empty((6, 3))  # constant + per column * x + per row * y >= 0
     for g in order:
         for q in range(group_start[g], group_start[g + 1]):
@@ -225,16 +245,19 @@ def _draw(
             else:
                 half_plane[4, 0], half_plane[4, 1], half_plane[4, 2] = w0 - s0, w1 - s1, w2 - s2
                 half_plane[5, 0], half_plane[5, 1], half_plane[5, 2] = w0 - t0, w1 - t1, w2 - t2
+            for e in range(edges):  # the column at which each half-plane begins or ends, linear in the row
+                inverse = -1.0 / half_plane[e, 1] if abs(half_plane[e, 1]) > _EMPTY else 1.0
+                crossing[e, 0], crossing[e, 1] = half_plane[e, 0] * inverse, half_plane[e, 2] * inverse
             taken = False
             for row in range(first, last + 1):
                 low, high = 0.0, width - 1.0
                 for e in range(edges):
-                    slope, base = half_plane[e, 1], half_plane[e, 0] + half_plane[e, 2] * row
-                    if slope > _EMPTY:
-                        low = max(low, -base / slope)
-                    elif slope < -_EMPTY:
-                        high = min(high, -base / slope)
-                    elif base < 0.0:
+                    bound = crossing[e, 0] + crossing[e, 1] * row
+                    if half_plane[e, 1] > _EMPTY:
+                        low = max(low, bound)
+                    elif half_plane[e, 1] < -_EMPTY:
+                        high = min(high, bound)
+                    elif bound < 0.0:
                         high = -1.0
                 begin, end = int(np.ceil(low)), int(np.floor(high))
                 if begin > end:
@@ -252,12 +275,7 @@ def _draw(
                 if shape & CUT_OUT != 0:
                     _fill_cut_out(plane, slot, row, begin, end, tag[q, 2], texels, table, depth, owner)
                     continue
-                w_row = w0 + w2 * row
-                for column in range(begin, end + 1):
-                    w = float32(w_row + w1 * column)
-                    if w > depth[row, column]:
-                        depth[row, column] = w
-                        owner[row, column] = slot
+                _fill(depth[row, begin : end + 1], owner[row, begin : end + 1], w0 + w2 * row + w1 * begin, w1, slot)
             if taken:
                 slot += 1
     return slot

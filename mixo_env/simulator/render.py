@@ -15,7 +15,7 @@ from mixo_env.simulator.lamps import add_glare, light_window
 from mixo_env.simulator.rain import add_spray, mirror_road, spray_puffs
 from mixo_env.simulator.rasterizer import DepthBuffers
 from mixo_env.simulator.sensor import NOISE_SIDE, expose, spread_motion
-from mixo_env.simulator.shading import shade
+from mixo_env.simulator.shading import even_cells, shade
 from mixo_env.simulator.shadows import EXTENT_M
 from mixo_env.simulator.vehicles import VehicleState
 from mixo_env.simulator.weather import Weather, weather_named
@@ -96,6 +96,7 @@ class Renderer:
         columns = 3 * _WIDEST_PX + NOISE_SIDE
         self._noise = np.random.default_rng(20).standard_normal((NOISE_SIDE, columns), np.float32)
         self._fleet = Fleet(world, shadows=self.weather.sun > 0.0)
+        self._sun_cells = even_cells(world.sunlight)
         self._no_lamps = np.zeros((1, 1), np.float32), np.zeros(2)
         w, unit = self.weather, RADIANCE_UNIT
         self._light = np.array(
@@ -162,6 +163,7 @@ class Renderer:
             world.detail_start,
             world.sky,
             world.sunlight,
+            self._sun_cells,
             world.shadow_height,
             lamps,
             lamp_origin,

@@ -1,21 +1,23 @@
 """Radiance and image motion of every pixel from the patches that the rasteriser found.
 
-Pixels are shaded in spans of at most eight that show the same patch. Perspective is exact at both ends of a span and linear
-within; the reduction of the texture, haze and lamp light are chosen once per span. Four 16-bit lanes of one integer filter the
-four channels of a texture at once.
+Pixels are shaded in short spans that show the same patch. Perspective is exact at both ends of a span and linear within; a span
+is cut so short that this misplaces the texture by less than 0.15 pixels. The reduction of the texture, haze and lamp
+light are chosen once per span. Four 16-bit lanes of one integer filter the four channels of a texture at once.
 """
 
 from __future__ import annotations
 
+import cv2
 import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from mixo_env.simulator.mesh import CUT_OUT, GROUND, SHADE
 from mixo_env.simulator.shadows import EXTENT_M, FIELD_TEXELS_PER_M, PICTURE_TEXELS_PER_M
 from mixo_env.simulator.textures import DETAIL_SIDE
 
-SPAN = 8
-"""Longest run of pixels that shares one mip level; perspective is exact at its ends."""
+SPAN = 16
+"""Longest run of pixels that shares one reduction of the texture."""
 
 MOST_TAPS = 4
 """Samples along the long axis of a pixel's footprint on a slanted surface."""
@@ -34,7 +36,9 @@ _OFF_WALL_M = 0.8
 _ONE = 65536.0
 _GRAIN_UNIT = 1.0 / (255.0 * 65536.0)
 _TOP = (1 << 18) - 1
-_CUT, _DRY, _UNDER = CUT_OUT, GROUND, SHADE
+_LIGHT_BITS, _TINT_BITS = 20, 8
+_CELL_SHIFT = 3
+_EVEN_SPAN_TEXELS = 6.0
 
 
 @njit(cache=True, error_model="numpy")
@@ -133,11 +137,10 @@ def _above_shadow(field, x, y, z):
 
 
 @njit(cache=True, error_model="numpy")
-def _sky_span(row, begin, end, d, sx, sy, sz, light, sky, motion, lens, dy, out, flow):
-    """Clouds on a plane between clear sky and haze; moves with the camera's rotation only."""
-    dx0, dx1, dx2 = d
+def _sky_span(row, begin, end, d0, d1, d2, sx, sy, sz, light, sky, turn, lens, dy, out, flow):
+    """Clouds on a plane between clear sky and haze; they move with the camera's rotation only."""
     for x in range(begin, end):
-        wx, wy, wz = dx0 + sx * x, dx1 + sy * x, dx2 + sz * x
+        wx, wy, wz = d0 + sx * x, d1 + sy * x, d2 + sz * x
         norm = 1.0 / np.sqrt(wx * wx + wy * wy + wz * wz)
         up = max(wz * norm, 0.0)
         scale = 60.0 * norm / (up + 0.12)
@@ -149,70 +152,82 @@ def _sky_span(row, begin, end, d, sx, sy, sz, light, sky, motion, lens, dy, out,
             word |= min(int(clear + (1.25 * light[3] - clear) * cloud), _TOP) << 21 * c
         out[row, x] = word
         dx = (x - lens[2]) / lens[0]
-        z = 1.0 / (motion[0, 6] * dx + motion[0, 7] * dy + motion[0, 8])
-        flow[row, x, 0] = 2.0 * ((motion[0, 0] * dx + motion[0, 1] * dy + motion[0, 2]) * z * lens[0] + lens[2] - x)
-        flow[row, x, 1] = 2.0 * ((motion[0, 3] * dx + motion[0, 4] * dy + motion[0, 5]) * z * lens[1] + lens[3] - row)
+        z = 1.0 / (turn[6] * dx + turn[7] * dy + turn[8])
+        flow[row, x, 0] = 2.0 * ((turn[0] * dx + turn[1] * dy + turn[2]) * z * lens[0] + lens[2] - x)
+        flow[row, x, 1] = 2.0 * ((turn[3] * dx + turn[4] * dy + turn[5]) * z * lens[1] + lens[3] - row)
 
 
 @njit(cache=True, error_model="numpy")
-def _moved(motion, body, dx, dy, iz, lens):
-    """Where the point at depth ``iz`` on the ray (dx, dy, 1) is seen at the end of the exposure, in pixels."""
-    x, y = dx * iz, dy * iz
-    z = 1.0 / max(motion[body, 6] * x + motion[body, 7] * y + motion[body, 8] * iz + motion[body, 11], 0.2)
-    u = (motion[body, 0] * x + motion[body, 1] * y + motion[body, 2] * iz + motion[body, 9]) * z * lens[0] + lens[2]
-    v = (motion[body, 3] * x + motion[body, 4] * y + motion[body, 5] * iz + motion[body, 10]) * z * lens[1] + lens[3]
-    return u, v
+def _lamp_light(lamps, corner_x, corner_y, beam, x, y, z, up, rx, ry, rz):
+    """Light of street lamps and of the car's own head lights.
+
+    Args:
+        lamps: light on the ground, one value a metre.
+        corner_x: map position of its corner, metres.
+        corner_y: the same.
+        beam: ``(8,)`` see :func:`shade`.
+        x: map position a little off the surface, metres.
+        y: the same.
+        z: height, metres.
+        up: upward part of the surface's normal.
+        rx: the same point in camera coordinates, metres.
+        ry: the same.
+        rz: the same.
+    """
+    # The map holds the light on the ground; walls get less, and hardly any above the lamps.
+    upright = 1.0 if up > 0.7 else 0.65
+    mask = lamps.shape[0] - 1
+    total = 0.6 * upright * min(max(2.2 - 0.25 * z, 0.12), 1.0)
+    total *= _bilinear1(lamps, x - corner_x - 0.5, y - corner_y - 0.5, mask)
+    ahead = beam[0] * rx + beam[1] * ry + beam[2] * rz + beam[3] - 3.7
+    if ahead > 0.5:
+        aside = beam[4] * rx + beam[5] * ry + beam[6] * rz + beam[7]
+        angle = aside / ahead
+        above = max(z - 0.9, 0.0)
+        cut = 1.0 + 40.0 * above * above / ahead
+        total += 45.0 / (ahead * ahead + aside * aside + 40.0) * np.exp(-5.0 * angle * angle) / cut
+    return total
 
 
 @njit(cache=True, error_model="numpy")
 def shade(
-    owner,
-    plane,
-    style,
-    mark,
-    rotation,
-    position,
-    lens,
-    far,
-    light,
-    texels,
-    table,
-    detail,
-    detail_start,
-    sky,
-    sunlight,
-    field,
-    lamps,
-    lamp_origin,
-    beam,
-    motion,
-    ground_scale,
-    out,
-    flow,
-):
+    owner, plane, style, mark, rotation, position, lens, far, light, texels, table, detail, detail_start, sky, sunlight,
+    sun_cells, field, lamps, lamp_origin, beam, motion, ground_scale, out, flow,
+):  # fmt: skip
     """Fill ``out`` with linear radiance and ``flow`` with the way each pixel's surface moves during the exposure.
 
     Args:
-        owner, plane, style, mark: of ``draw_groups``.
-        rotation, position, lens, far: as in ``draw_groups``.
-        light: ``(15,)`` ambient, sun, haze per metre, haze colour (3), zenith colour (3), clouds, lamps, wetness, colour (3).
-        texels, table: of the atlas.
-        detail, detail_start: packed fine grain.
-        sky, sunlight, field: see ``World``.
+        owner: of ``DepthBuffers``.
+        plane: of ``DepthBuffers``.
+        style: of ``DepthBuffers``.
+        mark: of ``DepthBuffers``.
+        rotation: ``(3, 3)`` camera from map.
+        position: ``(3,)`` camera centre, map frame.
+        lens: fx, fy, cx, cy in pixels.
+        far: nothing is seen beyond, metres.
+        light: ``(15,)`` ambient, sun, haze per metre, haze colour (3), zenith colour (3), clouds, lamps, wetness,
+            colour (3); radiance in units of the integer result.
+        texels: of the atlas.
+        table: of the atlas.
+        detail: packed fine grain.
+        detail_start: first entry of each of its reductions.
+        sky: see ``World``.
+        sunlight: see ``World``.
+        sun_cells: ``(n, n)`` of ``even_cells``.
+        field: ``World.shadow_height``.
         lamps: light of lamps on the ground, one value a metre, a power of two wide.
         lamp_origin: ``(2,)`` map position of the corner of ``lamps``, metres.
         beam: ``(8,)`` rows x and y of ego from camera and its translation, for the car's own head lights.
-        motion: ``(bodies, 12)`` rotation by rows and translation from camera coordinates at the middle of the exposure to those
-            at its end, per rigid body; body 0 is the world.
+        motion: ``(bodies, 12)`` rotation by rows and translation from camera coordinates at the middle of the exposure
+            to those at its end, per rigid body; body 0 is the world.
         ground_scale: texels per metre of the ground texture.
-        out: ``(h, w)`` int64, three 21-bit fields of radiance, red lowest, each at most 2^18 - 1 so that eight can be summed.
+        out: ``(h, w)`` int64, three 21-bit fields of radiance, red lowest, each below 2^18 so that eight can be summed.
         flow: ``(h, w, 2)`` float32 pixels.
     """
     height, width = owner.shape
     fx, fy, cx, cy = lens[0], lens[1], lens[2], lens[3]
-    ambient, sun, density, glow = light[0], light[1], light[2], light[10]
+    ambient, sun, density, glow, wetness = light[0], light[1], light[2], light[10], light[11]
     sx, sy, sz = rotation[0, 0] / fx, rotation[0, 1] / fx, rotation[0, 2] / fx  # map ray per column
-    lamp_mask = lamps.shape[0] - 1
     to_picture = PICTURE_TEXELS_PER_M / ground_scale
     at_picture = _HALF_M * PICTURE_TEXELS_PER_M - 0.5
     for row in range(height):
@@ -220,47 +235,56 @@ def shade(
         d0 = rotation[2, 0] + rotation[1, 0] * dy - sx * cx
         d1 = rotation[2, 1] + rotation[1, 1] * dy - sy * cx
         d2 = rotation[2, 2] + rotation[1, 2] * dy - sz * cx
-        before = -1
+        before = -2
         x = 0
         while x < width:
             k = owner[row, x]
-            end = x + 1
-            most = min(x + SPAN, width)
-            while end < most and owner[row, end] == k:
-                end += 1
-            if k < 0:
-                _sky_span(row, x, end, (d0, d1, d2), sx, sy, sz, light, sky, motion, lens, dy, out, flow)
-                x = end
-                continue
-            if k != before:
-                before = k
+            if k >= 0 and k != before:
                 u1, v1, w1 = plane[k, 1], plane[k, 4], plane[k, 7]
                 u2, v2, w2 = plane[k, 2], plane[k, 5], plane[k, 8]
                 u0, v0, w0 = plane[k, 0] + u2 * row, plane[k, 3] + v2 * row, plane[k, 6] + w2 * row
-                tint0, tint1, tint2 = style[k, 0] * light[12], style[k, 1] * light[13], style[k, 2] * light[14]
-                emission = style[k, 3]
-                ratio_u, ratio_v, grain_u, grain_v, strength = (
-                    style[k, 4],
-                    style[k, 5],
-                    style[k, 6],
-                    style[k, 7],
-                    style[k, 8],
-                )
-                facing, n0, n1, n2 = style[k, 9] * sun, style[k, 10], style[k, 11], style[k, 12]
-                shape, material, number, body = mark[k, 0], mark[k, 1], mark[k, 2], mark[k, 3]
-                if shape & _CUT != 0:
-                    emission = 0.0
-                if material == _UNDER:
+                ratio_u, ratio_v, grain_u, grain_v = style[k, 4], style[k, 5], style[k, 6], style[k, 7]
+                strength, facing = style[k, 8], style[k, 9] * sun
+                n0, n1, n2 = style[k, 10], style[k, 11], style[k, 12]
+                o0, o1, o2 = _OFF_WALL_M * n0, _OFF_WALL_M * n1, _OFF_WALL_M * n2
+                material, number = mark[k, 1], mark[k, 2]
+                on_ground = material == GROUND
+                tint0 = int(style[k, 0] * light[12] * (1 << _TINT_BITS))
+                tint1 = int(style[k, 1] * light[13] * (1 << _TINT_BITS))
+                tint2 = int(style[k, 2] * light[14] * (1 << _TINT_BITS))
+                emission = 0.0 if mark[k, 0] & CUT_OUT != 0 else 4.0 * glow * style[k, 3]
+                if material == SHADE:
                     facing = 0.0
-                damp = 1.0 if material == 0 else 1.0 - 0.5 * light[11]  # wet ground is dark
+                level_light = ambient * (0.82 + 0.18 * n2)
+                if material != 0:
+                    level_light *= 1.0 - 0.5 * wetness  # wet ground is dark
+                # Where the surface is seen at the end of the exposure: numerators linear in the column.
+                m = motion[mark[k, 3]]
+                mx0 = m[1] * dy + m[2] - m[0] * cx / fx + m[9] * w0
+                my0 = m[4] * dy + m[5] - m[3] * cx / fx + m[10] * w0
+                mz0 = m[7] * dy + m[8] - m[6] * cx / fx + m[11] * w0
+                mx1, my1, mz1 = m[0] / fx + m[9] * w1, m[3] / fx + m[10] * w1, m[6] / fx + m[11] * w1
+            before = k
+            longest = SPAN
+            if k >= 0:
+                w = w0 + w1 * x
+                iz = 1.0 / w
+                longest = SPAN if w > 427.0 * abs(w1) else (8 if w > 107.0 * abs(w1) else 4)
+            end, most = x + 1, min(x + longest, width)
+            while end < most and owner[row, end] == k:
+                end += 1
+            if k < 0:
+                _sky_span(row, x, end, d0, d1, d2, sx, sy, sz, light, sky, motion[0], lens, dy, out, flow)
+                x = end
+                continue
             last = end - 1
-            inverse = _INVERSE[last - x]
-            iz = 1.0 / (w0 + w1 * x)
+            steps = last - x
+            inverse = _INVERSE[steps]
             u, v = (u0 + u1 * x) * iz, (v0 + v1 * x) * iz
             iz_end = 1.0 / (w0 + w1 * last)
             du, dv = ((u0 + u1 * last) * iz_end - u) * inverse, ((v0 + v1 * last) * iz_end - v) * inverse
             z = 0.5 * (iz + iz_end)
-            um, vm = u + 0.5 * du * (last - x), v + 0.5 * dv * (last - x)
+            um, vm = u + 0.5 * du * steps, v + 0.5 * dv * steps
 
             # Footprint of a pixel on the texture: its long axis is sampled, its short axis chooses the reduction.
             ux, vx = (u1 - um * w1) * z, (v1 - vm * w1) * z
@@ -268,16 +292,17 @@ def shade(
             ax, bx, ay, by = abs(ux), abs(vx), abs(uy), abs(vy)
             across, along = max(ax, bx) + 0.4 * min(ax, bx), max(ay, by) + 0.4 * min(ay, by)
             if across > along:
-                long, short, ju, jv = across, along, ux, vx
+                wide, thin, ju, jv = across, along, ux, vx
             else:
-                long, short, ju, jv = along, across, uy, vy
+                wide, thin, ju, jv = along, across, uy, vy
             taps = 1
-            if long > 1.41:
-                taps = max(1, min(MOST_TAPS, int(long / max(short, 0.7) + 0.5)))
+            if wide > 1.41:
+                taps = max(1, min(MOST_TAPS, int(wide / max(thin, 0.7) + 0.5)))
             share = _INVERSE[taps]
-            level = _level(long * share)
-            reduce = _POWER[level]
-            start, log_w, log_h = table[number, level, 0], table[number, level, 1], table[number, level, 2]
+            level = _level(wide * share)
+            reduce = _POWER[level] * _ONE
+            start, log_w = table[number, level, 0], table[number, level, 1]
+            mask_u, mask_v = (1 << log_w) - 1, (1 << table[number, level, 2]) - 1
             ju, jv = ju * share, jv * share
             fine = _level(max(abs(ju * ratio_u), abs(jv * ratio_v)))
 
@@ -285,108 +310,103 @@ def shade(
             air = 1.0 / (1.0 + z * density * (1.0 + 0.5 * z * density))
             fade = max(z / far * 4.0 - 3.0, 0.0)
             air *= 1.0 - fade * fade
-            # (light and haze arrive scaled to integer radiance, see RADIANCE_UNIT)
-            haze0, haze1, haze2 = light[3] * (1.0 - air), light[4] * (1.0 - air), light[5] * (1.0 - air)
-            level_light = ambient * (0.82 + 0.18 * n2) * damp
+            haze0, haze1 = int(light[3] * (1.0 - air)), int(light[4] * (1.0 - air))
+            haze2 = int(light[5] * (1.0 - air))
+            steady = level_light
             q0, q1, q2 = d0 + sx * x, d1 + sy * x, d2 + sz * x
-            p0, p1, p2 = position[0] + q0 * iz, position[1] + q1 * iz, position[2] + q2 * iz
+            p0, p1, p2 = position[0] + q0 * iz + o0, position[1] + q1 * iz + o1, position[2] + q2 * iz + o2
             if glow > 0.0:
-                # The map holds the light on the ground; walls get less, and hardly any above the lamps.
-                upright = 1.0 if n2 > 0.7 else 0.65
-                level_light += (
-                    glow
-                    * 0.6
-                    * upright
-                    * min(max(2.2 - 0.25 * p2, 0.12), 1.0)
-                    * _bilinear1(
-                        lamps, p0 + 0.8 * n0 - lamp_origin[0] - 0.5, p1 + 0.8 * n1 - lamp_origin[1] - 0.5, lamp_mask
-                    )
+                rx = (0.5 * (x + last) - cx) / fx * z
+                steady += glow * _lamp_light(
+                    lamps, lamp_origin[0], lamp_origin[1], beam, p0, p1, p2, n2, rx, dy * z, z
                 )
-                dx = (0.5 * (x + last) - cx) / fx * z
-                ahead = beam[0] * dx + beam[1] * dy * z + beam[2] * z + beam[3] - 3.7
-                aside = beam[4] * dx + beam[5] * dy * z + beam[6] * z + beam[7]
-                if ahead > 0.5:
-                    angle = aside / ahead
-                    level_light += (
-                        glow
-                        * 45.0
-                        / (ahead * ahead + aside * aside + 40.0)
-                        * np.exp(-5.0 * angle * angle)
-                        / (1.0 + max(p2 - 0.9, 0.0) ** 2 * 40.0 / ahead)
-                    )
-            sunny = 1.0
-            soft = False
-            ip0 = ip1 = ie0 = ie1 = 0
+            sunny, varied = 1.0, False
             e0 = e1 = e2 = 0.0
-            if facing > 0.0 and material != _DRY:
-                e0, e1, e2 = (
-                    position[0] + (q0 + sx * (last - x)) * iz_end,
-                    position[1] + (q1 + sy * (last - x)) * iz_end,
-                    position[2] + (q2 + sz * (last - x)) * iz_end,
-                )
-                sunny = _above_shadow(field, p0 + _OFF_WALL_M * n0, p1 + _OFF_WALL_M * n1, p2 + _OFF_WALL_M * n2)
-                there = _above_shadow(field, e0 + _OFF_WALL_M * n0, e1 + _OFF_WALL_M * n1, e2 + _OFF_WALL_M * n2)
-                soft = sunny != there
-                e0, e1, e2 = (e0 - p0) * inverse, (e1 - p1) * inverse, (e2 - p2) * inverse
+            g0 = g1 = ge0 = ge1 = 0
+            if facing > 0.0:
+                if on_ground:
+                    pu, pv = u * to_picture + at_picture, v * to_picture + at_picture
+                    eu, ev = du * to_picture, dv * to_picture
+                    cell = sun_cells[
+                        (int(pv) & _PICTURE_MASK) >> _CELL_SHIFT, (int(pu) & _PICTURE_MASK) >> _CELL_SHIFT
+                    ]
+                    there = sun_cells[
+                        (int(pv + ev * steps) & _PICTURE_MASK) >> _CELL_SHIFT,
+                        (int(pu + eu * steps) & _PICTURE_MASK) >> _CELL_SHIFT,
+                    ]
+                    sunny = cell * (1.0 / 255.0)
+                    varied = cell != there or cell == 1 or (abs(eu) + abs(ev)) * steps > _EVEN_SPAN_TEXELS
+                    if varied:
+                        g0, g1, ge0, ge1 = int(pu * _ONE), int(pv * _ONE), int(eu * _ONE), int(ev * _ONE)
+                else:
+                    e0 = position[0] + (q0 + sx * steps) * iz_end + o0
+                    e1 = position[1] + (q1 + sy * steps) * iz_end + o1
+                    e2 = position[2] + (q2 + sz * steps) * iz_end + o2
+                    sunny = _above_shadow(field, p0, p1, p2)
+                    varied = sunny != _above_shadow(field, e0, e1, e2)
+                    e0, e1, e2 = (e0 - p0) * inverse, (e1 - p1) * inverse, (e2 - p2) * inverse
+            bright = steady + facing * sunny
 
-            tu, tv = (u - 0.5 * (taps - 1) * ju) * reduce - 0.5, (v - 0.5 * (taps - 1) * jv) * reduce - 0.5
-            tu, tv, tap_u, tap_v = int(tu * _ONE), int(tv * _ONE), int(ju * reduce * _ONE), int(jv * reduce * _ONE)
-            step_u, step_v = int(du * reduce * _ONE), int(dv * reduce * _ONE)
-            mask_u, mask_v = (1 << log_w) - 1, (1 << log_h) - 1
+            back = 0.5 * (taps - 1)
+            tu, tv = int((u - back * ju) * reduce) - 32768, int((v - back * jv) * reduce) - 32768
+            tap_u, tap_v, step_u, step_v = int(ju * reduce), int(jv * reduce), int(du * reduce), int(dv * reduce)
             small = _POWER[fine] * _ONE
             gu, gv = int((u * ratio_u + grain_u) * small) - 32768, int((v * ratio_v + grain_v) * small) - 32768
             grain_step_u, grain_step_v = int(du * ratio_u * small), int(dv * ratio_v * small)
             fine_start, fine_log = detail_start[fine], _DETAIL_LOG - fine
-            if material == _DRY:
-                ip0, ip1 = int((u * to_picture + at_picture) * _ONE), int((v * to_picture + at_picture) * _ONE)
-                ie0, ie1 = int(du * to_picture * _ONE), int(dv * to_picture * _ONE)
             scale = share * (1.0 / 255.0)
+            unit = scale * scale * air * (1 << _LIGHT_BITS)
             for column in range(x, end):
                 lanes = _bilinear4(texels, start, log_w, mask_u, mask_v, tu, tv)
                 if taps > 1:  # written out: as a loop the compiler would gather four samples where two are wanted
                     lanes += _bilinear4(texels, start, log_w, mask_u, mask_v, tu + tap_u, tv + tap_v)
-                if taps > 2:
-                    lanes += _bilinear4(texels, start, log_w, mask_u, mask_v, tu + 2 * tap_u, tv + 2 * tap_v)
-                if taps > 3:
-                    lanes += _bilinear4(texels, start, log_w, mask_u, mask_v, tu + 3 * tap_u, tv + 3 * tap_v)
+                    if taps > 2:
+                        lanes += _bilinear4(texels, start, log_w, mask_u, mask_v, tu + 2 * tap_u, tv + 2 * tap_v)
+                        if taps > 3:
+                            lanes += _bilinear4(texels, start, log_w, mask_u, mask_v, tu + 3 * tap_u, tv + 3 * tap_v)
                 tu += step_u
                 tv += step_v
-                tone = scale
+                tone = unit
                 if fine < _LAST_DETAIL:
-                    tone *= 1.0 + (_grain(detail, fine_start, fine_log, gu, gv) * _GRAIN_UNIT - 0.5) * strength
+                    grain = 1.0 + (_grain(detail, fine_start, fine_log, gu, gv) * _GRAIN_UNIT - 0.5) * strength
+                    tone *= grain * grain
                     gu += grain_step_u
                     gv += grain_step_v
-                if material == _DRY:
-                    sunny = _sun_on_ground(sunlight, ip0, ip1) * _GRAIN_UNIT
-                    ip0 += ie0
-                    ip1 += ie1
-                elif soft:
-                    i = column - x
-                    sunny = _above_shadow(
-                        field,
-                        p0 + e0 * i + _OFF_WALL_M * n0,
-                        p1 + e1 * i + _OFF_WALL_M * n1,
-                        p2 + e2 * i + _OFF_WALL_M * n2,
-                    )
-                lit = level_light + facing * sunny
-                if emission > 0.0 and glow > 0.0:
-                    lit += glow * emission * 4.0 * np.int64(lanes >> _U48) * scale
-                lit *= tone * tone * air
+                lit = bright
+                if varied:
+                    if on_ground:
+                        sunny = _sun_on_ground(sunlight, g0, g1) * _GRAIN_UNIT
+                        g0 += ge0
+                        g1 += ge1
+                    else:
+                        i = column - x
+                        sunny = _above_shadow(field, p0 + e0 * i, p1 + e1 * i, p2 + e2 * i)
+                    lit = steady + facing * sunny
+                if emission > 0.0:
+                    lit += emission * np.int64(lanes >> _U48) * scale
+                factor = int(lit * tone)
                 r, g, b = np.int64(lanes & _LANE), np.int64((lanes >> _U16) & _LANE), np.int64((lanes >> _U32) & _LANE)
-                r, g, b = (
-                    int(r * r * tint0 * lit + haze0),
-                    int(g * g * tint1 * lit + haze1),
-                    int(b * b * tint2 * lit + haze2),
-                )
+                r = haze0 + ((r * r * tint0 * factor) >> (_LIGHT_BITS + _TINT_BITS))
+                g = haze1 + ((g * g * tint1 * factor) >> (_LIGHT_BITS + _TINT_BITS))
+                b = haze2 + ((b * b * tint2 * factor) >> (_LIGHT_BITS + _TINT_BITS))
                 out[row, column] = min(r, _TOP) | min(g, _TOP) << 21 | min(b, _TOP) << 42
-            dx = (x - cx) / fx
-            mu, mv = _moved(motion, body, dx, dy, iz, lens)
-            mu, mv = 2.0 * (mu - x), 2.0 * (mv - row)
-            nu, nv = _moved(motion, body, dx + (last - x) / fx, dy, iz_end, lens)
-            nu, nv = (2.0 * (nu - last) - mu) * inverse, (2.0 * (nv - row) - mv) * inverse
+
+            back = 2.0 / max(mz0 + mz1 * x, 1e-4)
+            mu, mv = (mx0 + mx1 * x) * back * fx + 2.0 * (cx - x), (my0 + my1 * x) * back * fy + 2.0 * (cy - row)
+            back = 2.0 / max(mz0 + mz1 * last, 1e-4)
+            nu = ((mx0 + mx1 * last) * back * fx + 2.0 * (cx - last) - mu) * inverse
+            nv = ((my0 + my1 * last) * back * fy + 2.0 * (cy - row) - mv) * inverse
             for column in range(x, end):
-                flow[row, column, 0] = mu
-                flow[row, column, 1] = mv
-                mu += nu
-                mv += nv
+                i = column - x
+                flow[row, column, 0] = mu + nu * i
+                flow[row, column, 1] = mv + nv * i
             x = end
+
+
+def even_cells(sunlight: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Where the picture of sunlight is even, for eight by eight texels each: 0 shade, 255 sun, 1 both."""
+    size = 1 << _CELL_SHIFT
+    around = np.ones((size + 3, size + 3), np.uint8)  # with the neighbours that interpolation can touch
+    low = cv2.erode(sunlight, around)[size // 2 :: size, size // 2 :: size]
+    high = cv2.dilate(sunlight, around)[size // 2 :: size, size // 2 :: size]
+    return np.where(high < 3, 0, np.where(low > 252, 255, 1)).astype(np.uint8)

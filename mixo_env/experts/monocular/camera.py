@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -43,6 +44,15 @@ class MountedCamera:
     def pixel_size(self) -> float:
         """Size of one working pixel on the image plane at unit focal length (an angle near the axis) [rad]."""
         return float(2**self.halvings / np.mean(self.focal_px))
+
+    def shrink(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """The image at working resolution, as an array of its own; one that has it already is copied."""
+        if image.shape == self.working_shape:
+            return image.copy()
+        height, width = self.working_shape
+        factor = 2**self.halvings
+        cut = image[: height * factor, : width * factor]
+        return np.asarray(cv2.resize(cut, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
 
     def plane(self, working_px: NDArray[np.floating]) -> FloatArray:
         """Image-plane coordinates ``(n, 2)`` (x right, y down, unit focal length) of working pixels ``(n, 2)``."""

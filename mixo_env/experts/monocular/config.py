@@ -18,13 +18,13 @@ class MonocularConfig:
         fast_threshold: contrast [grey levels] of a FAST corner.
         fast_threshold_low: the same where a grid cell has too few corners.
         max_pixels: images with more pixels are halved (2 x 2 averages) until they fit; ``None`` keeps them as they are.
-        vocabulary: ``"general"`` for the one that ships, or the path of one made by ``mixo train-vocabulary``.
+        vocabulary: ``"general"``: the one that ships; or the path of one made by ``mixo train-vocabulary``.
         fine_nodes: match within the second level of the vocabulary (100 nodes) instead of the first (10).
         match_max_bits: largest Hamming distance (of 256 bits) of a match.
         match_ratio: a match must be better than this share of the second-best distance in its search window.
         max_yaw_rate_radps: faster turns of the car are not searched for.
-        max_curvature_radpm: nor are tighter ones [rad per metre]: wheels that hardly roll cannot turn a car. A robot that
-            turns on the spot needs a large value.
+        max_curvature_radpm: nor are tighter ones [rad per metre]: wheels that hardly roll cannot turn a car. (A robot
+            that turns on the spot needs a large value.)
         standing_yaw_rad: turn allowed between two images beyond that, for distances that are a little too small.
         noise_px: expected position noise of a feature, in working pixels; the start value of the robust scale.
         tilt_std_rad: soft zero prior on the roll and pitch increments between two images.
@@ -49,7 +49,7 @@ class MonocularConfig:
     vocabulary: str = "general"
     fine_nodes: bool = False
     match_max_bits: int = 64
-    match_ratio: float = 0.9
+    match_ratio: float = 0.8
     max_yaw_rate_radps: float = 1.0
     max_curvature_radpm: float = 0.3
     standing_yaw_rad: float = 0.005

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -67,7 +66,7 @@ class MonocularOdometry:
             DatasetError: wrong type or size of image, time that does not increase, distance that is not finite.
         """
         self._check(image, timestamp_us, distance_m)
-        previous, last, working = self._previous, self._last_image, self._shrink(image)
+        previous, last, working = self._previous, self._last_image, self.camera.shrink(image)
         gap_s = math.inf if self._last_timestamp_us is None else (timestamp_us - self._last_timestamp_us) * 1e-6
         self._last_timestamp_us, self._last_image = timestamp_us, working
         if last is not None and abs(distance_m) > _FROZEN_DISTANCE_M and np.array_equal(working, last):
@@ -94,15 +93,6 @@ class MonocularOdometry:
             )
         if not math.isfinite(distance_m):
             raise DatasetError(f"{name}: distance must be finite, got {distance_m} m: check the wheel speeds")
-
-    def _shrink(self, image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """The image at working resolution, as an array of its own."""
-        if image.shape == self.camera.working_shape:
-            return image.copy()
-        height, width = self.camera.working_shape
-        factor = 2**self.camera.halvings
-        cut = image[: height * factor, : width * factor]
-        return np.asarray(cv2.resize(cut, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
 
     def _close(self, pair: Pair | None, distance_m: float) -> CameraStep:
         """Advance the state by one image and report."""

@@ -1,0 +1,81 @@
+"""``mixo train-vocabulary``: retrain the words that matching is restricted to."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+from tyro.conf import Positional
+
+from mixo_env.nuscenes.selections import CAMERAS
+
+
+@dataclass(frozen=True)
+class TrainVocabulary:
+    """Train a vocabulary tree on a random share of a data set's images (rows "w/ retrained vocab." of the paper).
+
+    Give the scenes of the training folds only; the file then goes into ``MonocularConfig.vocabulary``.
+
+    Worked examples:
+
+      mixo train-vocabulary city --out words.npy                                     all four cameras
+      mixo train-vocabulary city --out right.npy --cameras CAM_BACK_RIGHT --scenes scene-2001 scene-2002
+    """
+
+    root: Positional[Path]
+    """Folder that holds v1.0-*, samples and sweeps."""
+    out: Path
+    """File to write (.npy, a few KiB)."""
+    version: str | None = None
+    """Tables to use, e.g. v1.0-trainval; needed only when the folder holds several."""
+    scenes: tuple[str, ...] = ()
+    """Scenes to learn from; all by default."""
+    cameras: tuple[str, ...] = CAMERAS
+    """Cameras to learn from."""
+    share: float = 0.2
+    """Share of their images that is used, picked at random."""
+    preset: Literal["fast", "paper"] = "fast"
+    """Settings of the monocular odometry the vocabulary is for."""
+    seed: int = 0
+    """Of that pick and of the clustering."""
+
+    def run(self) -> int:
+        """Train, save and say how even the words are."""
+        import numpy as np
+        from rich.console import Console
+        from rich.progress import track
+
+        from mixo_env.errors import ConfigurationError
+        from mixo_env.experts.monocular.camera import mount
+        from mixo_env.experts.monocular.config import MonocularConfig
+        from mixo_env.experts.monocular.features import FeatureDetector
+        from mixo_env.experts.monocular.vocabulary import train_vocabulary
+        from mixo_env.nuscenes.tables import open_dataset
+        from mixo_env.recordings.steps import read_grey
+
+        if not 0.0 < self.share <= 1.0:
+            raise ConfigurationError(f"share must be above 0 and at most 1, got {self.share:g}: use e.g. 0.2")
+        config = MonocularConfig.preset(self.preset)
+        detector, dataset = FeatureDetector(config), open_dataset(self.root, self.version)
+        rng = np.random.default_rng(self.seed)
+        images = []
+        for name in self.scenes or dataset.scene_names:
+            for camera in dataset.load(name, self.cameras).cameras.values():
+                mounted = mount(camera.calibration, config.max_pixels)
+                some = np.flatnonzero(rng.random(len(camera.image_paths)) < self.share)
+                images += [(mounted, camera.image_paths[i]) for i in some]
+        console = Console(stderr=True)
+        words = [
+            detector.detect(mounted.shrink(read_grey(path))).descriptor
+            for mounted, path in track(images, "looking", console=console, disable=not console.is_terminal)
+        ]
+        descriptor = np.concatenate([np.empty((0, 4), np.uint64), *words])
+        vocabulary = train_vocabulary(descriptor, seed=self.seed)
+        vocabulary.save(self.out)
+        count = np.bincount(vocabulary.nodes(descriptor, fine=True), minlength=vocabulary.branches**2)
+        console.print(
+            f"{self.out}: {vocabulary.branches} x {vocabulary.branches} words from {len(descriptor):,} corners of "
+            f"{len(images):,} images; words hold {count.min() / count.sum():.2%} to {count.max() / count.sum():.2%}"
+        )
+        return 0
