@@ -52,12 +52,15 @@ class PPO(Policy):
         """Train on all scenes of ``recordings``; same seed, same machine: same bits."""
         import stable_baselines3
         import torch
-        from mixo_env.envs.sb3 import MixoVecEnv
         from stable_baselines3.common.vec_env import VecNormalize
+
+        from mixo_env.envs.sb3 import MixoVecEnv
 
         super().fit(recordings, track)
         torch.set_num_threads(1)
-        environment = MixoVecEnv(self.environments, recordings=recordings, track=track, split="all", observation="rich")
+        environment = MixoVecEnv(
+            num_envs=self.environments, recordings=recordings, track=track, split="all", observation="rich"
+        )
         normalised = VecNormalize(environment, norm_reward=False, clip_obs=CLIP, gamma=self.gamma)
         with torch.random.fork_rng(devices=[]):
             model = stable_baselines3.PPO(

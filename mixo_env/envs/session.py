@@ -41,7 +41,7 @@ class Session:
     def __init__(self, settings: Settings, batch: int, *, keep_trajectories: bool = True) -> None:
         """Open the recordings and build the core for ``batch`` environments; rendering needs the trajectories."""
         self.settings = settings
-        self.recordings, training = settings.open()
+        self.recordings, self._training = settings.open()
         self.replay = self._build_replay(self.recordings, keep_trajectories)
         voters = self.recordings.voters(settings.track)
         for expert in self.replay.experts:
@@ -52,7 +52,7 @@ class Session:
         if not np.isfinite(self.replay.table["truth_rad"]).all():
             raise RecordingError("these recordings lack ground truth in some steps: an environment needs it to reward")
         self.rule = ActionRule(settings.weights, len(self.replay.experts), settings.raw_scale, self._switches())
-        self.reward = Reward(settings.reward, self.replay, settings.track, training)
+        self.reward = Reward(settings.reward, self.replay, settings.track, self._training)
         layout = self.replay.layout
         self._named_parts = settings.observation == "dict"
         self.observation_space: spaces.Space[Any] = layout.dict() if self._named_parts else layout.box()
@@ -136,6 +136,10 @@ class Session:
         which = np.flatnonzero(mask)
         names[which] = self._names[self.replay.state["scene"][which]]
         return names
+
+    def training_observations(self) -> NDArray[np.float32]:
+        """Flat observations ``(rows, width)`` of the training scenes, whatever is played; previous rates inertial."""
+        return self._build_replay(self._training, keep_trajectories=False).context
 
     def image_paths(self, entry: int) -> dict[str, Path | None]:
         """Image of each camera that closes the step a batch entry decides about next; empty without ``dataroot``."""

@@ -49,7 +49,7 @@ class MonocularConfig:
     vocabulary: str = "general"
     fine_nodes: bool = False
     match_max_bits: int = 64
-    match_ratio: float = 0.8
+    match_ratio: float = 0.85
     max_yaw_rate_radps: float = 1.0
     max_curvature_radpm: float = 0.3
     standing_yaw_rad: float = 0.005

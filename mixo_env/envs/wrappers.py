@@ -1,0 +1,176 @@
+"""Transforms of flat observations, for single and batched environments and for the Stable-Baselines3 adapter alike.
+
+env = gym.make("mixo_env:MixoOdometry-v0")
+env = transformed(env, standardise(env))
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+from gymnasium.vector import VectorEnv
+from gymnasium.wrappers import TransformObservation
+from gymnasium.wrappers.vector import TransformObservation as TransformVectorObservation
+from numpy.typing import NDArray
+
+from mixo_env.envs.observation import median_of_available
+from mixo_env.errors import ConfigurationError, PolicyError
+
+FloatArray = NDArray[np.float32]
+AnyEnv = gym.Env[Any, Any] | VectorEnv[Any, Any, Any]
+
+
+class Transform(Protocol):
+    """A function of flat observations ``(..., width)`` that knows the space of its results."""
+
+    def __call__(self, observation: FloatArray) -> FloatArray:
+        """Transform one observation or a batch of them."""
+        ...
+
+    def space(self, box: spaces.Box) -> spaces.Box:
+        """Space of the results, for observations from ``box``."""
+        ...
+
+
+@dataclass(frozen=True)
+class Standardise:
+    """Shift and scale every number by frozen statistics of training observations, and clip the result.
+
+    Attributes:
+        mean: ``(width,)``.
+        std: ``(width,)``; 1 where a number never varied.
+        clip: largest absolute result [standard deviations].
+    """
+
+    mean: FloatArray
+    std: FloatArray
+    clip: float = 10.0
+
+    @classmethod
+    def fit(cls, observations: FloatArray, clip: float = 10.0) -> Standardise:
+        """Statistics of ``observations`` ``(rows, width)``."""
+        mean, std = observations.mean(axis=0, dtype=np.float64), observations.std(axis=0, dtype=np.float64)
+        return cls(mean.astype(np.float32), np.where(std > 1e-9, std, 1.0).astype(np.float32), clip)
+
+    def __call__(self, observation: FloatArray) -> FloatArray:
+        """Standardised and clipped copy."""
+        return np.clip((observation - self.mean) / self.std, -self.clip, self.clip)
+
+    def space(self, box: spaces.Box) -> spaces.Box:
+        """A Box of the same shape, from -clip to clip."""
+        return spaces.Box(-self.clip, self.clip, box.shape, dtype=np.float32)
+
+    def save(self, path: Path) -> None:
+        """Write the statistics as JSON: a policy trained with them is worth nothing without them."""
+        fields = {"mean": self.mean.tolist(), "std": self.std.tolist(), "clip": self.clip}
+        path.write_text(json.dumps(fields), encoding="utf-8")
+
+    @classmethod
+    def load(cls, path: Path) -> Standardise:
+        """Read what :meth:`save` wrote.
+
+        Raises:
+            PolicyError: if the file is missing or holds something else.
+        """
+        try:
+            fields = json.loads(path.read_text(encoding="utf-8"))
+            mean, std = (np.asarray(fields[name], np.float32) for name in ("mean", "std"))
+            return cls(mean, std, float(fields["clip"]))
+        except (OSError, ValueError, KeyError, TypeError) as error:
+            raise PolicyError(f"{path} holds no observation statistics ({error!r}): save them anew") from None
+
+
+@dataclass(frozen=True)
+class AddDisagreement:
+    """Append every expert's yaw rate minus the median, which ``"paper"`` leaves for the policy to find out.
+
+    A camera without matches is a substitute and has no vote in the median, as in the observation ``"rich"``.
+
+    Attributes:
+        matches: columns of the cameras' match counts.
+        yaw_rates: columns of the experts' yaw rates; the cameras among them are given by ``cameras``.
+        cameras: position of each camera among the experts.
+    """
+
+    matches: slice
+    yaw_rates: slice
+    cameras: tuple[int, ...]
+
+    def __call__(self, observation: FloatArray) -> FloatArray:
+        """The observation, longer by one number per expert."""
+        rates = observation[..., self.yaw_rates]
+        available = np.ones(rates.shape, np.bool_)
+        available[..., list(self.cameras)] = observation[..., self.matches] > 0
+        middle = median_of_available(rates.astype(np.float64), available)
+        return np.concatenate([observation, rates - middle[..., None].astype(np.float32)], axis=-1)
+
+    def space(self, box: spaces.Box) -> spaces.Box:
+        """The Box, longer by one number per expert."""
+        limit = 2 * box.high[self.yaw_rates]
+        return spaces.Box(np.concatenate([box.low, -limit]), np.concatenate([box.high, limit]), dtype=np.float32)
+
+
+@dataclass(frozen=True)
+class Chain:
+    """Transforms one after another."""
+
+    transforms: Sequence[Transform]
+
+    def __call__(self, observation: FloatArray) -> FloatArray:
+        """Apply all, the first one first."""
+        for transform in self.transforms:
+            observation = transform(observation)
+        return observation
+
+    def space(self, box: spaces.Box) -> spaces.Box:
+        """Space of the last one's results."""
+        for transform in self.transforms:
+            box = transform.space(box)
+        return box
+
+
+def standardise(env: AnyEnv, before: Transform | None = None, clip: float = 10.0) -> Transform:
+    """Standardisation with the statistics of the training scenes of ``env``, whatever split it plays.
+
+    Args:
+        env: one of this package's environments, wrapped or not.
+        before: a transform to apply first; the statistics are those of its results.
+        clip: largest absolute result [standard deviations].
+    """
+    flat_box(env)
+    observations = env.unwrapped.session.training_observations()  # type: ignore[attr-defined, union-attr]
+    if before is None:
+        return Standardise.fit(observations, clip)
+    return Chain((before, Standardise.fit(before(observations), clip)))
+
+
+def add_disagreement(env: AnyEnv) -> AddDisagreement:
+    """The transform for the experts of ``env``."""
+    flat_box(env)
+    replay = env.unwrapped.session.replay  # type: ignore[attr-defined, union-attr]
+    slices = replay.layout.slices
+    cameras = tuple(replay.experts.index(camera) for camera in replay.cameras)
+    return AddDisagreement(slices["matches"] if cameras else slice(0, 0), slices["yaw_rates"], cameras)
+
+
+def transformed(env: AnyEnv, transform: Transform) -> AnyEnv:
+    """``env`` with transformed observations (Gymnasium's own wrapper of either kind)."""
+    space = transform.space(flat_box(env))
+    if isinstance(env, VectorEnv):
+        return TransformVectorObservation(env, transform, single_observation_space=space)
+    return TransformObservation(env, transform, space)
+
+
+def flat_box(env: AnyEnv) -> spaces.Box:
+    """Observation space of one environment, which must be flat."""
+    space = env.single_observation_space if isinstance(env, VectorEnv) else env.observation_space
+    if not isinstance(space, spaces.Box) or len(space.shape) != 1:
+        raise ConfigurationError("expected a flat observation, got a dictionary: choose observation='paper' or 'rich'")
+    return space

@@ -1,0 +1,221 @@
+"""The environments in the hands of other people's libraries."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium import wrappers
+from gymnasium.wrappers import vector as vector_wrappers
+
+import mixo_env
+from mixo_env.envs.wrappers import Standardise, add_disagreement, standardise, transformed
+from mixo_env.errors import ConfigurationError, PolicyError
+from tests.synthetic import synthetic_recordings
+
+RECORDINGS = synthetic_recordings(scenes=6, steps=25)
+IDS = list(mixo_env.ENVIRONMENTS)
+ROOT = Path(__file__).parent.parent
+
+
+def one_episode(env: gym.Env[Any, Any]) -> dict[str, Any]:
+    observation, info = env.reset(seed=0)
+    truncated = False
+    while not truncated:
+        assert observation in env.observation_space
+        observation, _, _, truncated, info = env.step(env.action_space.sample())
+    return info
+
+
+@pytest.mark.parametrize("env_id", IDS)
+def test_gymnasium_wrappers(env_id: str) -> None:
+    env = wrappers.RecordEpisodeStatistics(gym.make(env_id, recordings=RECORDINGS, observation="dict"))
+    info = one_episode(wrappers.NormalizeObservation(wrappers.FlattenObservation(env)))
+    assert info["episode"]["l"] == len(RECORDINGS.rows(info["scores"]["scene"])["step"]) - 1
+    batched = gym.make_vec(env_id, 3, recordings=RECORDINGS)
+    batched = vector_wrappers.NormalizeObservation(vector_wrappers.RecordEpisodeStatistics(batched))
+    batched.reset(seed=0)
+    returns = []
+    for _ in range(80):
+        info = batched.step(batched.action_space.sample())[4]
+        returns += info["episode"]["r"][info["_episode"]].tolist() if "episode" in info else []
+    assert len(returns) >= 6
+
+
+@pytest.mark.parametrize("env_id", IDS)
+def test_stable_baselines3(env_id: str) -> None:
+    from stable_baselines3 import PPO
+    from stable_baselines3.common.evaluation import evaluate_policy
+    from stable_baselines3.common.vec_env import VecMonitor, VecNormalize
+
+    from mixo_env.envs.sb3 import MixoVecEnv
+
+    env = VecNormalize(VecMonitor(MixoVecEnv(env_id, 4, recordings=RECORDINGS)), norm_reward=False)
+    model = PPO("MlpPolicy", env, n_steps=32, batch_size=64, n_epochs=1, gamma=0.0, seed=0, device="cpu")
+    model.learn(256)
+    assert len(model.ep_info_buffer) >= 4
+    mean, _ = evaluate_policy(model, env, n_eval_episodes=3)
+    assert np.isfinite(mean)
+    single = gym.make(env_id, recordings=RECORDINGS)
+    PPO("MlpPolicy", single, n_steps=32, batch_size=32, n_epochs=1, seed=0, device="cpu").learn(64)
+
+
+def test_sb3_adapter_tells_the_same_story_as_the_batched_environment() -> None:
+    from mixo_env.envs.sb3 import MixoVecEnv
+
+    env = MixoVecEnv("MixoOdometry-v0", 3, recordings=RECORDINGS, step_infos=True, render_mode="ansi")
+    peer = gym.make_vec("MixoOdometry-v0", 3, recordings=RECORDINGS, autoreset_mode="SAME_STEP")
+    env.seed(5)
+    np.testing.assert_array_equal(env.reset(), peer.reset(seed=5)[0])
+    ended = 0
+    for _ in range(80):
+        actions = peer.action_space.sample()
+        observation, reward, done, infos = env.step(actions)
+        theirs, their_reward, _, truncated, info = peer.step(actions)
+        np.testing.assert_array_equal(observation, theirs)
+        np.testing.assert_array_equal(reward, their_reward.astype(np.float32))
+        np.testing.assert_array_equal(done, truncated)
+        for i in range(3):
+            assert ("terminal_observation" in infos[i]) == truncated[i]
+            if truncated[i]:
+                ended += 1
+                np.testing.assert_array_equal(infos[i]["terminal_observation"], info["final_obs"][i])
+                assert infos[i]["scores"]["ate_m"] == info["final_info"]["scores"]["ate_m"][i]
+                assert infos[i]["TimeLimit.truncated"]
+            where = info["final_info"] if truncated[i] else info
+            assert infos[i]["yaw_error_rad"] == where["yaw_error_rad"][i]
+    assert ended >= 6
+    assert len(env.get_images()) == 3
+    assert env.get_attr("num_envs", indices=[0, 2]) == [3, 3]
+    assert env.env_is_wrapped(gym.Wrapper) == [False] * 3
+    env.set_options({"scene": "scene-2003"})
+    env.reset()
+    assert [info["scene"] for info in env.reset_infos] == ["scene-2003"] * 3
+    for wrong in ({"autoreset_mode": "NEXT_STEP"}, {"env_id": "CartPole-v1"}):
+        with pytest.raises(ConfigurationError):
+            MixoVecEnv(**wrong)  # type: ignore[arg-type]
+    with pytest.raises(ConfigurationError, match="indices"):
+        env.set_attr("render_mode", None, indices=[0])
+
+
+def test_a_cleanrl_style_loop_learns_the_best_expert() -> None:
+    """REINFORCE in one screen on a task with a known optimum: only CAM_FRONT says the truth."""
+    import torch
+
+    columns = {name: RECORDINGS[name] for name in RECORDINGS.column_names}
+    columns["CAM_FRONT.yaw_increment_rad"] = columns["truth.yaw_increment_rad"].astype(np.float32)
+    columns["CAM_BACK.yaw_increment_rad"] = columns["CAM_FRONT.yaw_increment_rad"] + np.float32(3e-3)
+    told = type(RECORDINGS)(RECORDINGS.manifest, columns)
+    envs = gym.make_vec(
+        "MixoOdometry-v0", 32, recordings=told, experts=["CAM_BACK", "CAM_FRONT"], weights="select", track="VISION"
+    )
+    torch.manual_seed(0)
+    logits = torch.zeros(2, requires_grad=True)
+    optimiser = torch.optim.Adam([logits], lr=0.1)
+    envs.reset(seed=0)
+    for _ in range(100):
+        distribution = torch.distributions.Categorical(logits=logits)
+        actions = distribution.sample((32,))
+        _, reward, _, _, _ = envs.step(actions.numpy())
+        advantage = torch.as_tensor(reward - reward.mean(), dtype=torch.float32)
+        loss = -(distribution.log_prob(actions) * advantage).mean()
+        optimiser.zero_grad()
+        loss.backward()
+        optimiser.step()
+    assert torch.softmax(logits, 0)[1] > 0.95
+
+
+@pytest.mark.parametrize("observation", ["paper", "rich"])
+def test_standardised_observations_have_frozen_training_statistics(observation: Any, tmp_path: Path) -> None:
+    options = {"recordings": RECORDINGS, "observation": observation}
+    train, test = (gym.make("MixoOdometry-v0", split=split, **options) for split in ("train", "test"))
+    transform = standardise(train)
+    assert isinstance(transform, Standardise)
+    np.testing.assert_array_equal(transform.mean, standardise(test).mean)  # type: ignore[attr-defined]
+    seen = transform(train.unwrapped.session.training_observations())  # type: ignore[attr-defined]
+    np.testing.assert_allclose(seen.mean(axis=0), 0.0, atol=1e-3)
+    assert np.abs(seen).max() <= 10.0
+    one_episode(transformed(test, transform))
+    transform.save(tmp_path / "statistics.json")
+    again = Standardise.load(tmp_path / "statistics.json")
+    np.testing.assert_array_equal(again.std, transform.std)
+    (tmp_path / "statistics.json").write_text("{}")
+    with pytest.raises(PolicyError, match="statistics"):
+        Standardise.load(tmp_path / "statistics.json")
+
+
+def test_disagreement_features_equal_those_of_the_rich_observation() -> None:
+    paper = gym.make_vec("MixoOdometry-v0", 4, recordings=RECORDINGS)
+    rich = gym.make_vec("MixoOdometry-v0", 4, recordings=RECORDINGS, observation="dict")
+    wrapped = transformed(paper, add_disagreement(paper))
+    a, _ = wrapped.reset(seed=0)
+    b, _ = rich.reset(seed=0)
+    for _ in range(60):
+        assert a in wrapped.observation_space
+        # a camera that missed its last image tracks without an increment: the paper's observation cannot tell
+        same = (b["available"][:, :4] > 0).sum(axis=1) == (b["matches"] > 0).sum(axis=1)
+        np.testing.assert_allclose(a[same, -5:], b["disagreement"][same], atol=1e-6)
+        actions = paper.action_space.sample()
+        a, b = wrapped.step(actions)[0], rich.step(actions)[0]
+    both = standardise(paper, before=add_disagreement(paper))
+    assert transformed(paper, both).single_observation_space.shape == (16,)
+
+
+def test_transforms_need_a_flat_observation() -> None:
+    env = gym.make("MixoOdometry-v0", recordings=RECORDINGS, observation="dict")
+    with pytest.raises(ConfigurationError, match="flat"):
+        standardise(env)
+
+
+@pytest.mark.integration
+@pytest.mark.filterwarnings("default")
+def test_record_video(tmp_path: Path) -> None:
+    pytest.importorskip("moviepy")
+    env = gym.make("MixoOdometry-v0", recordings=RECORDINGS, render_mode="rgb_array")
+    env = wrappers.RecordVideo(env, str(tmp_path), episode_trigger=lambda episode: True)
+    one_episode(env)
+    env.close()
+    assert list(tmp_path.glob("*.mp4"))
+
+
+@pytest.mark.integration
+@pytest.mark.filterwarnings("default")
+@pytest.mark.parametrize("env_id", IDS)
+@pytest.mark.parametrize("observation", ["paper", "dict"])
+def test_minari_export(env_id: str, observation: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("minari")
+    pytest.importorskip("h5py")
+    from mixo_env.envs.episodes import write_minari
+    from mixo_env.recordings.store import save_recordings
+
+    monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "minari"))
+    save_recordings(RECORDINGS, tmp_path / "recordings")
+    env = gym.make(env_id, recordings=str(tmp_path / "recordings"), order="fixed", observation=observation)
+    dataset = write_minari(env, lambda observation: env.action_space.sample(), f"mixo/random-{observation}-v0")
+    scenes = RECORDINGS.select(split="train").scenes
+    assert dataset.total_episodes == len(scenes)
+    assert dataset.total_steps == sum(scene.rows - 1 for scene in scenes)
+    assert dataset.recover_environment().spec.id == env_id
+    episode = next(iter(dataset))
+    assert episode.truncations[-1]
+
+
+@pytest.mark.integration
+@pytest.mark.parametrize("env_id", IDS)
+def test_rl_zoo3(env_id: str, tmp_path: Path) -> None:
+    pytest.importorskip("rl_zoo3")
+    from mixo_env.recordings.store import save_recordings
+
+    save_recordings(RECORDINGS, tmp_path / "recordings")
+    command = [sys.executable, "-m", "rl_zoo3.train", "--algo", "ppo", "--env", env_id, "--gym-packages", "mixo_env"]
+    command += ["--conf-file", str(ROOT / "experiments" / "rl_zoo3" / "ppo.yml"), "--log-folder", str(tmp_path)]
+    command += ["--n-timesteps", "4096", "--env-kwargs", f"recordings:'{tmp_path / 'recordings'}'", "--seed", "0"]
+    command += ["--hyperparams", "n_envs:2", "n_epochs:1", "--eval-freq", "-1"]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path)
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert list(tmp_path.rglob(f"{env_id}.zip"))
