@@ -8,9 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from baselines.linear import Linear
+from baselines.playing import collect
 from baselines.policy import Observation, Policy, Weights
 from mixo_env.envs.actions import LOGIT_SCALE
 from mixo_env.envs.observation import RICH
+from mixo_env.envs.wrappers import Standardise
 from mixo_env.fusion import softmax
 from mixo_env.recordings.collection import Recordings
 
@@ -52,20 +55,26 @@ class PPO(Policy):
         """Train on all scenes of ``recordings``; same seed, same machine: same bits."""
         import stable_baselines3
         import torch
-        from stable_baselines3.common.vec_env import VecNormalize
 
         from mixo_env.envs.sb3 import MixoVecEnv
 
         super().fit(recordings, track)
-        torch.set_num_threads(1)
+        linear = Linear()
+        linear.fit(recordings, track)
+        self._standardise = Standardise.fit(flat(collect(recordings, track, linear)))
         environment = MixoVecEnv(
-            num_envs=self.environments, recordings=recordings, track=track, split="all", observation="rich"
+            num_envs=self.environments,
+            transform=self._standardise,
+            recordings=recordings,
+            track=track,
+            split="all",
+            observation="rich",
         )
-        normalised = VecNormalize(environment, norm_reward=False, clip_obs=CLIP, gamma=self.gamma)
+        torch.set_num_threads(1)
         with torch.random.fork_rng(devices=[]):
             model = stable_baselines3.PPO(
                 "MlpPolicy",
-                normalised,
+                environment,
                 gamma=self.gamma,
                 n_steps=self.rollout,
                 batch_size=self.batch,
@@ -76,16 +85,12 @@ class PPO(Policy):
                 device="cpu",
             )
             model.learn(self.steps)
-        statistics: Any = normalised.obs_rms  # of one array, not of a dictionary of them
-        self._mean = statistics.mean
-        self._std = np.sqrt(statistics.var + normalised.epsilon)
         self._layers = actor_layers(model.policy)
 
     def act(self, observation: Observation) -> Weights:
         """Softmax rows ``(batch, experts)`` of the actor's mean action."""
-        flat = np.concatenate([observation[quantity.name] for quantity in RICH], axis=1)
-        x = np.clip((flat - self._mean) / self._std, -CLIP, CLIP)
-        return softmax(LOGIT_SCALE * np.clip(mean_action(self._layers, x), -1.0, 1.0))
+        action = mean_action(self._layers, self._standardise(flat(observation)))
+        return softmax(LOGIT_SCALE * np.clip(action, -1.0, 1.0))
 
     def settings(self) -> dict[str, Any]:
         """Training settings."""
@@ -96,16 +101,17 @@ class PPO(Policy):
         """Standardisation and actor."""
         weights = {f"weight.{i}": weight for i, (weight, _) in enumerate(self._layers)}
         biases = {f"bias.{i}": bias for i, (_, bias) in enumerate(self._layers)}
-        return {"mean": self._mean, "std": self._std, **weights, **biases}
+        return {"mean": self._standardise.mean, "std": self._standardise.std, **weights, **biases}
 
     def restore(self, tensors: Mapping[str, NDArray[Any]]) -> None:
         """Take back standardisation and actor."""
-        self._mean, self._std = tensors["mean"], tensors["std"]
+        self._standardise = Standardise(tensors["mean"], tensors["std"])
         self._layers = [(tensors[f"weight.{i}"], tensors[f"bias.{i}"]) for i in range(len(self.hidden) + 1)]
 
 
-CLIP = 10.0
-"""Largest standardised observation."""
+def flat(observation: Observation) -> NDArray[np.float32]:
+    """The ``"rich"`` observation ``(batch, width)``."""
+    return np.concatenate([observation[quantity.name] for quantity in RICH], axis=1)
 
 
 def actor_layers(policy: Any) -> Layers:
@@ -116,7 +122,7 @@ def actor_layers(policy: Any) -> Layers:
     return [(x.weight.detach().numpy().copy(), x.bias.detach().numpy().copy()) for x in (*dense, policy.action_net)]
 
 
-def mean_action(layers: Layers, x: NDArray[np.float64]) -> NDArray[np.float64]:
+def mean_action(layers: Layers, x: NDArray[np.float32]) -> NDArray[np.float32]:
     """What that actor's mean action is for ``x`` ``(batch, inputs)``: tanh between dense layers."""
     for weight, bias in layers[:-1]:
         x = np.tanh(x @ weight.T + bias)

@@ -7,6 +7,13 @@ import sys
 from typing import Protocol
 
 
+DESCRIPTION = """MixoOdometry: how much to trust each camera of a car's rig.
+
+`mixo benchmark` needs nothing; `mixo COMMAND --help` shows worked examples. Exit codes: 0 good, 1 something wrong in the
+data, 2 wrong usage. `-v` says more about what happens.
+"""
+
+
 class Command(Protocol):
     """A frozen dataclass whose fields are the command line."""
 
@@ -47,7 +54,7 @@ def main(argv: list[str] | None = None) -> int:
         command: Command = tyro.extras.subcommand_cli_from_dict(
             commands(),
             prog="mixo",
-            description=__doc__,
+            description=DESCRIPTION,
             args=[argument for argument in arguments if argument != "-v"],
         )
         return command.run()

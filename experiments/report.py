@@ -105,8 +105,8 @@ def cells(row: Row, *, intervals: bool = True) -> dict[str, str]:
         "> 0.5 m": f"{100.0 * score.high_ate_share:.0f} %",
     }
     if exact := row.scores.get("exact"):
-        line["exact %"] = f"{exact.translation_percent.mean:.2f}"
-        line["exact deg/m"] = f"{exact.rotation_deg_per_m.mean:.4f}"
+        line["exact %"] = _interval(exact.translation_percent, 2, False)
+        line["exact deg/m"] = _interval(exact.rotation_deg_per_m, 4, False)
     return line
 
 
@@ -232,6 +232,8 @@ def _row_json(row: Row) -> dict[str, Any]:
 
 
 def _interval(value: Interval, digits: int, with_ends: bool) -> str:
+    if np.isnan(value.mean):
+        return "-"  # no scene is long enough for a sample
     ends = f" [{value.low:.{digits}f}, {value.high:.{digits}f}]" if with_ends and np.isfinite(value.low) else ""
     return f"{value.mean:.{digits}f}{ends}"
 

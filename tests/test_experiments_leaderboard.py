@@ -151,3 +151,15 @@ def test_figure_is_drawn_without_a_window(board: Leaderboard, tmp_path: Path) ->
     assert picture.startswith(b"\x89PNG")
     assert len(picture) > 20_000
     assert [path.name for path in tmp_path.iterdir()] == ["trajectories.png"]
+
+
+def test_standing_scenes_have_an_ate_but_no_relative_error(recordings: Recordings, tmp_path: Path) -> None:
+    columns = {name: recordings[name].copy() for name in recordings.column_names}
+    for name in columns:
+        if name.endswith(("distance_m", "speed_mps", "x_m", "y_m")):
+            columns[name] = np.where(np.isnan(columns[name]), columns[name], 0).astype(columns[name].dtype)
+    standing = Recordings(recordings.manifest, columns).select(folds=[0, 1])
+    board = build(standing, policies=ROWS, tracks=("CONSUMER",))
+    assert "| LINEAR | - | - | 0.00 |" in report.to_markdown(board)
+    assert report.to_csv(board).count("nan") == 2 * 2 * len(ROWS) * len(standing)
+    draw_trajectories(board, tmp_path / "standing.png")

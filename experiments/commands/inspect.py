@@ -18,7 +18,7 @@ class Inspect:
 
     Exit code 1 if something is wrong with the data. The first run on a folder reads its tables and keeps a cache.
 
-    Examples:
+    Worked examples:
       mixo inspect /data/nuscenes
       mixo inspect /data/nuscenes --version v1.0-trainval --scenes scene-0061 scene-0103
       mixo inspect my-city --json > report.json

@@ -50,5 +50,5 @@ class Simulate:
                 progress=lambda done, total: bar.update(task, completed=done, total=total),
             )
         console.print(f"{self.config.scenes} scenes ({VERSION}) in {self.out}", highlight=False)
-        console.print(f"next: mixo record {self.out}", highlight=False)
+        console.print(f"next: mixo record {self.out} --out {self.out}-recordings", highlight=False)
         return 0

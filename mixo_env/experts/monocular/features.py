@@ -63,7 +63,7 @@ class FeatureDetector:
             if min(size) < _SMALLEST_SIDE:
                 break
             if level > 0:
-                layer = np.asarray(cv2.resize(layer, size, interpolation=cv2.INTER_AREA), np.uint8)
+                layer = np.asarray(cv2.resize(layer, size, interpolation=cv2.INTER_LINEAR), np.uint8)
             corners = self._corners(layer, int(quota))
             if not len(corners):
                 continue
