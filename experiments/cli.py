@@ -30,6 +30,7 @@ def commands() -> dict[str, type]:
     from experiments.commands.inspect import Inspect
     from experiments.commands.record import Record
     from experiments.commands.simulate import Simulate
+    from experiments.commands.train_vocabulary import TrainVocabulary
 
     return {
         "benchmark": Benchmark,
@@ -38,6 +39,7 @@ def commands() -> dict[str, type]:
         "record": Record,
         "import": Import,
         "evaluate": Evaluate,
+        "train-vocabulary": TrainVocabulary,
     }
 
 

@@ -1,8 +1,8 @@
 """Mutual matching at 8000 features: ours within vocabulary nodes against ``cv2.BFMatcher(crossCheck=True)``.
 
 Run ``python -m experiments.benchmarks.matching FIRST SECOND`` with two consecutive street images (any format, grey or
-colour); without arguments two pictures of the test corridor stand in. CPU time of one thread, median of repeats;
-inliers by OpenCV's fundamental matrix, so that neither side judges itself.
+colour). CPU time of one thread, median of repeats; inliers by OpenCV's fundamental matrix, so that neither side judges
+itself.
 """
 
 from __future__ import annotations
@@ -43,14 +43,11 @@ def inlier_share(p1: NDArray[np.float32], p2: NDArray[np.float32]) -> float:
 
 
 def main(paths: list[str]) -> None:
-    """Print both times, their ratio and both inlier shares."""
+    """Print both times, their ratio and both inlier shares of two image files."""
     cv2.setNumThreads(1)
-    if paths:
-        images = [np.asarray(cv2.imread(path, cv2.IMREAD_GRAYSCALE), np.uint8) for path in paths[:2]]
-    else:
-        from tests.corridor import calibration, picture
-
-        images = [cv2.resize(picture(calibration(), x, 0.0, 0.0, i), (1600, 900)) for i, x in enumerate((0.0, 0.5))]
+    if len(paths) != 2:
+        sys.exit("usage: python -m experiments.benchmarks.matching FIRST SECOND (consecutive images of one camera)")
+    images = [np.asarray(cv2.imread(path, cv2.IMREAD_GRAYSCALE), np.uint8) for path in paths]
     config = MonocularConfig.preset("paper")
     detector, words = FeatureDetector(config), load_vocabulary()
     first, second = (detector.detect(np.asarray(image, np.uint8)) for image in images)

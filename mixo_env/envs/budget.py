@@ -142,6 +142,8 @@ class BudgetSettings(Settings):
         super().__post_init__()
         if not (np.isfinite(self.price_per_ms) and self.price_per_ms >= 0):
             raise ConfigurationError(f"price_per_ms: expected a number >= 0, got {self.price_per_ms!r}: e.g. 0.01")
+        if self.weights == "select":
+            raise ConfigurationError("weights='select' leaves no room for switches: use softmax, simplex or raw")
 
 
 class BudgetSession(Session):

@@ -25,7 +25,7 @@ SHELLS_M = (15.0, 30.0, 60.0)
 
 _TILE = 8
 _EMPTY = 1e-14
-_OPAQUE = 110  # of 255
+_OPAQUE = np.uint64(110 << 48)  # coverage, the highest lane, above 110 of 255
 
 
 @njit(cache=True, error_model="numpy")
@@ -168,7 +168,7 @@ def _fill_cut_out(plane, slot, row, begin, end, number, texels, table, depth, ow
             iz = reduce / w
             tu = int(np.floor((p0 + p1 * column) * iz)) & mask_w
             tv = int(np.floor((q0 + q1 * column) * iz)) & mask_h
-            if texels[start + (tv << log_w) + tu] >> 24 > _OPAQUE:
+            if texels[np.uintp(start + (tv << log_w) + tu)] > _OPAQUE:
                 depth[row, column] = float32(w)
                 owner[row, column] = slot
 
@@ -310,7 +310,7 @@ class DepthBuffers:
         position_m: NDArray[np.float64],
         lens: NDArray[np.float64],
         far_m: float,
-        texels: NDArray[np.uint32],
+        texels: NDArray[np.uint64],
         table: NDArray[np.int64],
     ) -> None:
         """Draw all that can be seen.

@@ -25,7 +25,7 @@ MOST_TAPS = 4
 _INVERSE = np.array([0.0] + [1.0 / i for i in range(1, SPAN + 1)])
 _POWER = np.array([2.0**-i for i in range(12)])
 _U8, _U16, _U32, _U48 = np.uint64(8), np.uint64(16), np.uint64(32), np.uint64(48)
-_PAIRS, _LANES, _LANE = np.uint64(0x0000FFFF0000FFFF), np.uint64(0x00FF00FF00FF00FF), np.uint64(0xFFFF)
+_LANES, _LANE = np.uint64(0x00FF00FF00FF00FF), np.uint64(0xFFFF)
 _HALF_M = 0.5 * EXTENT_M
 _PICTURE_MASK = int(EXTENT_M * PICTURE_TEXELS_PER_M) - 1
 _FIELD_MASK = int(EXTENT_M * FIELD_TEXELS_PER_M) - 1
@@ -42,14 +42,6 @@ _EVEN_SPAN_TEXELS = 6.0
 
 
 @njit(cache=True, error_model="numpy")
-def _spread(texel):
-    """Four bytes in one 32-bit word -> four 16-bit lanes of a 64-bit word."""
-    word = np.uint64(texel)
-    word = (word | (word << _U16)) & _PAIRS
-    return (word | (word << _U8)) & _LANES
-
-
-@njit(cache=True, error_model="numpy")
 def _bilinear4(texels, start, log_w, mask_u, mask_v, u, v):
     """Four channels of a texture at texel coordinates (u, v) in 1/65536, as lanes of 0..255."""
     a, b = (u >> 8) & 255, (v >> 8) & 255
@@ -59,10 +51,10 @@ def _bilinear4(texels, start, log_w, mask_u, mask_v, u, v):
     w11 = (a * b) >> 8
     w01, w10, w00 = a - w11, b - w11, 256 - a - b + w11
     lanes = (
-        _spread(texels[np.uintp(here + u0)]) * np.uint64(w00)
-        + _spread(texels[np.uintp(here + u1)]) * np.uint64(w01)
-        + _spread(texels[np.uintp(below + u0)]) * np.uint64(w10)
-        + _spread(texels[np.uintp(below + u1)]) * np.uint64(w11)
+        texels[np.uintp(here + u0)] * np.uint64(w00)
+        + texels[np.uintp(here + u1)] * np.uint64(w01)
+        + texels[np.uintp(below + u0)] * np.uint64(w10)
+        + texels[np.uintp(below + u1)] * np.uint64(w11)
     )
     return (lanes >> _U8) & _LANES
 

@@ -126,11 +126,18 @@ def reductions(image: NDArray[np.uint8]) -> list[NDArray[np.uint8]]:
     return levels
 
 
+def lanes(image: Bytes) -> NDArray[np.uint64]:
+    """Every texel's four bytes as four 16-bit lanes, red lowest: one multiplication then weighs all channels."""
+    word = np.ascontiguousarray(image).view(np.uint32)[..., 0].astype(np.uint64)
+    word = (word | word << np.uint64(16)) & np.uint64(0x0000FFFF0000FFFF)
+    return (word | word << np.uint64(8)) & np.uint64(0x00FF00FF00FF00FF)
+
+
 class Atlas:
-    """All textures of a world in one flat array, four bytes a texel."""
+    """All textures of a world in one flat array."""
 
     def __init__(self) -> None:
-        self._parts: list[NDArray[np.uint32]] = []
+        self._parts: list[Bytes] = []
         self._table: list[list[tuple[int, int, int]]] = []
         self._size = 0
 
@@ -140,11 +147,21 @@ class Atlas:
         for level in reductions(image):
             height, width = level.shape[:2]
             rows.append((self._size, width.bit_length() - 1, height.bit_length() - 1))
-            self._parts.append(np.ascontiguousarray(level).view(np.uint32).ravel())
+            self._parts.append(level)
             self._size += height * width
         self._table.append(rows + [rows[-1]] * (LEVELS - len(rows)))
         return len(self._table) - 1
 
-    def packed(self) -> tuple[NDArray[np.uint32], NDArray[np.int64]]:
-        """Texels ``(n,)`` (red in the lowest byte) and the table ``(textures, LEVELS, 3)`` of offset, log2 width, log2 height."""
-        return np.concatenate(self._parts), np.array(self._table, np.int64)
+    def packed(self) -> tuple[NDArray[np.uint64], NDArray[np.int64]]:
+        """Texels and where they are.
+
+        Returns:
+            ``(n,)`` texels as :func:`lanes` and the table ``(textures, LEVELS, 3)``: offset, log2 width, log2 height.
+        """
+        texels = np.empty(self._size, np.uint64)
+        start = 0
+        for part in self._parts:
+            count = part.shape[0] * part.shape[1]
+            texels[start : start + count] = lanes(part).ravel()
+            start += count
+        return texels, np.array(self._table, np.int64)

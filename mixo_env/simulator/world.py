@@ -48,7 +48,7 @@ class World:
     sun: NDArray[np.float64]
     static: PatchSet
     vehicles: dict[tuple[str, int], Mesh]
-    texels: NDArray[np.uint32]
+    texels: NDArray[np.uint64]
     table: NDArray[np.int64]
     detail: NDArray[np.uint32]
     detail_start: NDArray[np.int64]
