@@ -6,11 +6,10 @@ import logging
 import sys
 from typing import Protocol
 
-
 DESCRIPTION = """MixoOdometry: how much to trust each camera of a car's rig.
 
-`mixo benchmark` needs nothing; `mixo COMMAND --help` shows worked examples. Exit codes: 0 good, 1 something wrong in the
-data, 2 wrong usage. `-v` says more about what happens.
+`mixo benchmark` needs nothing; `mixo COMMAND --help` shows worked examples. Exit codes: 0 good, 1 something wrong in
+the data, 2 wrong usage. `-v` says more about what happens.
 """
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +31,7 @@ COLOURS = {
 def draw_trajectories(board: Leaderboard, path: Path) -> None:
     """Top views of a few scenes, start at the origin and heading up, above the position error along the way.
 
-    The scenes are the longest of different logs, in the CONSUMER track if it was run. Dots mark where a camera shown
+    The scenes are those of different logs that turn most, in the CONSUMER track if it was run. Dots mark where a camera
     was lost.
     """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
@@ -38,7 +39,7 @@ def draw_trajectories(board: Leaderboard, path: Path) -> None:
 
     table = next((table for table in board.tables if table.track == PREFERRED_TRACK), board.tables[0])
     shown = [row for row in table.rows if row.run.name in COLOURS]
-    scenes = _longest_of_different_logs(board)
+    scenes = _most_winding_of_different_logs(board)
     figure = Figure(figsize=(4.0 * len(scenes), 7.5), layout="constrained")
     FigureCanvasAgg(figure)
     axes: Any = figure.subplots(2, len(scenes), squeeze=False, height_ratios=(3, 2))
@@ -82,11 +83,11 @@ def _title(board: Leaderboard, table: Table) -> str:
     )
 
 
-def _longest_of_different_logs(board: Leaderboard) -> list[int]:
+def _most_winding_of_different_logs(board: Leaderboard) -> list[int]:
     """Up to ``SCENES`` scenes, one per log while there are enough logs, in the order of the recordings."""
     course, entries = board.courses["truth"], board.recordings.scenes
-    length = course.travelled_m[course.offsets[1:] - 1]
-    order = [int(i) for i in np.argsort(-length, kind="stable")]
+    turned = [np.ptp(course.poses.yaw_rad[first:stop]) for first, stop in itertools.pairwise(course.offsets)]
+    order = np.argsort(-np.array(turned), kind="stable").tolist()
     first_of_log = {entries[i].log: i for i in reversed(order)}
     chosen = [i for i in order if first_of_log[entries[i].log] == i]
     return sorted((chosen + [i for i in order if i not in chosen])[:SCENES])

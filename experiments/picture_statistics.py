@@ -1,4 +1,4 @@
-"""How a picture looks to a feature tracker: corners, spectrum, repeatability and matches, for real and simulated streets alike.
+"""How a picture looks to a feature tracker: corners, spectrum, repeatability, matches. For real and simulated streets.
 
 ``python -m experiments.picture_statistics FOLDER`` prints one row for every folder or picture it is given.
 """
@@ -62,6 +62,10 @@ class PairStatistics:
     hamming: float
 
 
+def _orb(corners: int) -> cv2.ORB:
+    return cv2.ORB.create(corners, 1.2, 8, fastThreshold=12)
+
+
 def _spectrum_slope(gray: Gray) -> float:
     side = min(384, *gray.shape)
     top, left = (gray.shape[0] - side) // 2, (gray.shape[1] - side) // 2
@@ -75,7 +79,7 @@ def _spectrum_slope(gray: Gray) -> float:
     return float(np.polyfit(np.log(rings), np.log(mean), 1)[0])
 
 
-def _matched(first: NDArray[np.uint8], second: NDArray[np.uint8]) -> list[cv2.DMatch]:
+def _matched(first: cv2.typing.MatLike, second: cv2.typing.MatLike) -> list[cv2.DMatch]:
     pairs = cv2.BFMatcher(cv2.NORM_HAMMING).knnMatch(first, second, k=2)
     return [pair[0] for pair in pairs if len(pair) == 2 and pair[0].distance < 0.8 * pair[1].distance]
 
@@ -83,13 +87,13 @@ def _matched(first: NDArray[np.uint8], second: NDArray[np.uint8]) -> list[cv2.DM
 def picture_statistics(gray: Gray) -> PictureStatistics:
     """Statistics of one grey picture ``(h, w)``."""
     height, width = gray.shape
-    corners = cv2.ORB_create(20000, 1.2, 8, fastThreshold=12).detect(gray, None)
+    corners = _orb(20000).detect(gray, None)
     cells = {(int(k.pt[1] * 6 / height), int(k.pt[0] * 10 / width)) for k in corners}
 
     warp = np.array([[1.04, 0.03, -6.0], [-0.02, 1.05, 4.0], [3e-5, -2e-5, 1.0]])
     noise = np.random.default_rng(0).normal(0.0, 3.0, gray.shape)
     moved = np.clip(0.9 * cv2.warpPerspective(gray, warp, (width, height)) + noise, 0, 255).astype(np.uint8)
-    orb = cv2.ORB_create(1500, 1.2, 8, fastThreshold=12)
+    orb = _orb(1500)
     here, here_words = orb.detectAndCompute(gray, None)
     there, there_words = orb.detectAndCompute(moved, None)
     expected = cv2.perspectiveTransform(np.array([[k.pt for k in here]], np.float64), warp)[0]
@@ -111,7 +115,7 @@ def picture_statistics(gray: Gray) -> PictureStatistics:
 
 def pair_statistics(first: Gray, second: Gray, intrinsic: NDArray[np.float64]) -> PairStatistics:
     """Statistics of two consecutive pictures of a camera with pixel matrix ``intrinsic``."""
-    orb = cv2.ORB_create(1500, 1.2, 8, fastThreshold=12)
+    orb = _orb(1500)
     here, here_words = orb.detectAndCompute(first, None)
     there, there_words = orb.detectAndCompute(second, None)
     matches = _matched(here_words, there_words)
@@ -150,7 +154,9 @@ def main() -> None:
         paths = sorted(p for p in root.rglob("*") if p.suffix in (".png", ".jpg")) if root.is_dir() else [root]
         paths = paths[:: max(1, len(paths) // 60)]
         narrow = [path for path in paths if cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) is not None]
-        rows = [picture_statistics(read_gray(path, 800 if read_gray(path).shape[1] == 1600 else None)) for path in narrow]
+        rows = [
+            picture_statistics(read_gray(path, 800 if read_gray(path).shape[1] == 1600 else None)) for path in narrow
+        ]
         print(f"{root.name:28s} ({len(rows)})  {mean_row(rows)}")
 
 

@@ -14,6 +14,7 @@ from experiments.evaluation import FLOORS, Motion, rollout, with_wheels
 from mixo_env.errors import PolicyError
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.store import load_recordings
+from mixo_env.recordings.vehicles import with_held_out_constants
 
 UNFOLDED = -1
 """Stands for the held-out fold where none is held out."""
@@ -44,10 +45,11 @@ class Protocol:
     """How the scenes of a recording are divided into training and test.
 
     Scenes outside every fold (night) are left out. With fewer than two folds there is nothing to train on that is not
-    tested as well: learned policies then come from the bundled recordings.
+    tested as well: learned policies then come from the bundled recordings, and wheel scale and course offset of the
+    vehicles stay nominal.
 
     Attributes:
-        recordings: the scenes that are scored.
+        recordings: the scenes that are scored, with vehicle constants fitted on the folds that hold none of them.
         folds: those present.
         left_out: number of scenes in no fold.
         foreign: learned policies are fitted on the bundled recordings.
@@ -58,8 +60,9 @@ class Protocol:
     ) -> None:
         """Divide ``recordings``; when nothing is in a fold, all scenes are scored."""
         self.folds: tuple[int, ...] = tuple(sorted({scene.fold for scene in recordings.scenes if scene.fold >= 0}))
-        self.recordings = recordings.select(folds=self.folds) if self.folds else recordings
-        self.left_out = len(recordings) - len(self.recordings)
+        inside = recordings.select(folds=self.folds) if self.folds else recordings
+        self.recordings = with_held_out_constants(inside)
+        self.left_out = len(recordings) - len(inside)
         self.foreign = len(self.folds) < 2
         self.seed = seed
         self._bundled = bundled

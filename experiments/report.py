@@ -42,26 +42,35 @@ def conventions(board: Leaderboard) -> list[str]:
     pieces = board.courses["truth"].pieces().items()
     samples = ", ".join(f"{length:g} m {count} ({scenes})" for length, (count, scenes) in pieces)
     if protocol.foreign:
-        folds = "Fewer than two folds: learned policies were fitted on the bundled recordings."
+        folds = (
+            "Fewer than two folds: learned policies were fitted on the bundled recordings, wheel scale and course offset "
+            "are nominal."
+        )
     else:
-        folds = f"{len(protocol.folds)} folds by log: learned policies are fitted on the other folds."
+        folds = (
+            f"{len(protocol.folds)} folds by log: learned policies, wheel scale and course offset are fitted on the other "
+            "folds."
+        )
         if any(table.one_fold is not None for table in board.tables):
             folds += f" {', '.join(ONE_FOLD)} is fitted once and tested on fold {protocol.folds[-1]}."
+    size = f"{_count(len(recordings), 'scene')} of {_count(board.logs, 'log')}"
+    intervals = f"Intervals: bootstrap over {board.logs} logs." if board.logs > 1 else "Intervals: none, one log."
     lines = [
-        f"Data {recordings.manifest.data_version}: {len(recordings)} scenes of {board.logs} logs"
-        + (f", {protocol.left_out} scenes outside the folds left out" if protocol.left_out else "")
+        f"Data {recordings.manifest.data_version}: {size}"
+        + (f", {_count(protocol.left_out, 'scene')} outside the folds left out" if protocol.left_out else "")
         + f"; seed {protocol.seed}.",
         "Alignment: none, the first pose is the truth's. Truth: the written poses"
         + ("; exact: the simulator's noise-free ones." if "exact" in board.courses else "."),
         f"RTE: mean over all pieces of path, starts 1 m apart; pieces (scenes) per length: {samples}.",
-        f"Intervals: bootstrap over {board.logs} logs. {folds}",
+        f"{intervals} {folds}",
     ]
     if board.logs < RANKING_LOGS:
-        lines.append(
-            f"{len(recordings)} scenes of {board.logs} logs show that everything works; they claim no ranking "
-            f"(that takes {RANKING_LOGS} logs)."
-        )
+        lines.append(f"{size}: enough to see that everything works, claims no ranking (takes {RANKING_LOGS} logs).")
     return lines
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
 def title(table: Table) -> str:
@@ -78,7 +87,9 @@ def notes(table: Table) -> list[str]:
         experts = next(iter(weights.values()))
         mean = {expert: float(np.mean([fold[expert] for fold in weights.values()])) for expert in experts}
         parts = ", ".join(f"{expert} {weight:.3f}" for expert, weight in mean.items())
-        lines.append(f"LINEAR weights, mean over folds: {parts}; sum {sum(mean.values()):.3f}.")
+        lines.append(
+            f"LINEAR weights{', mean over folds' if len(weights) > 1 else ''}: {parts}; sum {sum(mean.values()):.3f}."
+        )
     lines += [f"{name} left out: {why}." for name, why in table.left_out.items()]
     return lines
 

@@ -363,7 +363,8 @@ def test_pixels(env_id: str, simulated: tuple[Path, Recordings]) -> None:
         assert observation in batched.observation_space
         assert info["_images"].all()
     vec = MixoVecEnv(env_id, 2, observation="pixels", **options)
-    PPO("MultiInputPolicy", vec, n_steps=8, batch_size=8, n_epochs=1, seed=0, device="cpu").learn(16)
+    small = {"ortho_init": False, "features_extractor_kwargs": {"cnn_output_dim": 8}}
+    PPO("MultiInputPolicy", vec, n_steps=4, batch_size=8, n_epochs=1, policy_kwargs=small, device="cpu").learn(8)
     drawn = make(env_id, render_mode="rgb_array", **options)
     drawn.reset(seed=0)
     assert drawn.render().shape == (540, 960, 3)

@@ -64,7 +64,7 @@ def test_markdown_says_what_the_numbers_rest_on(board: Leaderboard) -> None:
         "Alignment: none",
         "starts 1 m apart; pieces (scenes) per length: 10 m ",
         "Intervals: bootstrap over 4 logs. 4 folds by log",
-        "claim no ranking",
+        "claims no ranking",
         "| PERFECT YAW † |",
         "| INERTIAL * |",
         "LINEAR weights, mean over folds: CAM_FRONT",

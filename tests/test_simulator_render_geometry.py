@@ -15,8 +15,10 @@ from tests.tiny_world import FLAT, MOUNTS, camera, cast, plain_texture, pose, su
 WHITE, RED, BLUE = plain_texture(255, 255, 255), plain_texture(255, 0, 0), plain_texture(0, 0, 255)
 
 
-def wall_before(at: CameraPose, distance: float, width: float, height: float, slant: float, texture: int = 0, shape: int = 0) -> Patch:
-    """An upright wall whose middle lies ``distance`` metres down the optical axis, turned by ``slant`` about the vertical."""
+def wall_before(
+    at: CameraPose, distance: float, width: float, height: float, slant: float, texture: int = 0, shape: int = 0
+) -> Patch:
+    """An upright wall with its middle ``distance`` metres down the optical axis, turned about the vertical."""
     forward = at.rotation_map_from_camera[:, 2]
     heading = np.arctan2(forward[1], forward[0]) - 0.5 * np.pi + slant
     along = width * np.array([np.cos(heading), np.sin(heading), 0.0])
@@ -112,7 +114,7 @@ def test_texture_lies_on_the_surface_in_perspective(channel: str) -> None:
     s, t, _ = cast(calibration, at, wall)
     image = picture(world_of([rgba(ramp)], [wall]), calibration, at)
     clear = (s > 0.05) & (s < 0.95) & (t > 0.05) & (t < 0.95)
-    # The ratio of two channels does not depend on exposure, vignette or tone curve ... of equal radiance: compare order.
+    # Which of two channels is brighter does not depend on exposure, vignette or tone curve.
     red = np.interp(s[clear] * 64 - 0.5, np.arange(64), ramp[0, :, 0])
     green = np.interp(t[clear] * 64 - 0.5, np.arange(64), ramp[:, 0, 1])
     seen = image[clear].astype(float)

@@ -107,7 +107,7 @@ def surface(texture: int, shape: int = 0) -> Surface:
 
 
 def cast(calibration: CameraCalibration, at: CameraPose, patch: Patch) -> tuple[NDArray[np.float64], ...]:
-    """Independent oracle: for every pixel s, t and distance along the optical axis of the plane of ``patch``; inf behind."""
+    """Independent oracle: s, t and distance along the optical axis of the patch's plane at every pixel; inf behind."""
     v, u = np.mgrid[0 : calibration.height, 0 : calibration.width].astype(np.float64)
     rays = np.stack([u, v, np.ones_like(u)], axis=-1) @ np.linalg.inv(calibration.intrinsic).T
     rays = rays @ at.rotation_map_from_camera.T

@@ -27,7 +27,7 @@ STATELESS = tuple(quantity for quantity in RICH if quantity.name != "yaw_rate_st
 
 @numba.njit(cache=True)
 def silence(
-    out: Any, state: Any, table: Any, delivers: Any, awake: Any, expert_of_camera: Any, columns: Any, limit: float
+    out: Any, state: Any, table: Any, awake: Any, expert_of_camera: Any, columns: Any, experts: int, limit: float
 ) -> None:
     """Take out of an observation what sleeping and just woken cameras cannot know.
 
@@ -35,21 +35,21 @@ def silence(
         out: ``(batch, width)``, changed in place.
         state: ``(batch,)`` STATE.
         table: ``(rows,)`` STEP.
-        delivers: ``(batch, experts)`` bool: the expert's images of this step and the one before were processed.
         awake: ``(batch, cameras)`` bool: the image of this step was processed.
         expert_of_camera: ``(cameras,)`` position of each camera among the experts.
         columns: first column of each of PARTS, -1 where the observation lacks it.
+        experts: how many.
         limit: bound of yaw rates [rad/s].
     """
-    experts = delivers.shape[1]
     rates, available, disagreement = columns[6], columns[7], columns[8]
     said = np.empty(experts)
     for b in range(out.shape[0]):
-        k = table[state[b].row]
+        s = state[b]
+        k = table[s.row]
         for c in range(awake.shape[1]):
             out[b, columns[5] + c] = awake[b, c]
             j = expert_of_camera[c]
-            if delivers[b, j]:
+            if not (s.silent >> j) & 1:
                 continue
             out[b, rates + j] = min(max(k.substitute_rad / k.dt_s, -limit), limit)
             out[b, columns[0] + c] = 0.0
@@ -97,13 +97,11 @@ class BudgetReplay(Replay):
         if len(self.awake) != self.batch:
             self.awake = np.ones((self.batch, len(self.cameras)), np.bool_)
         self.awake[which] = True
-        self.delivers[which] = True
 
     def switch(self, which: NDArray[np.bool_], on: NDArray[np.bool_]) -> None:
         """Where ``which``, let the cameras ``on`` ``(batch, cameras)`` process the image closing the coming step."""
-        delivers = self.delivers.copy()
-        delivers[:, self._expert_of_camera] = on & self.awake
-        self.delivers[which] = delivers[which]
+        silent = ~(on & self.awake) @ (1 << self._expert_of_camera)
+        self.state["silent"] = np.where(which, silent, self.state["silent"])
         self.awake[which] = on[which]
 
     def observe_flat(self) -> NDArray[np.float32]:
@@ -116,10 +114,10 @@ class BudgetReplay(Replay):
             flat,
             self.state,
             self.table,
-            self.delivers,
             self.awake,
             self._expert_of_camera,
             self._columns,
+            len(self.experts),
             self.rate_limit,
         )
         return flat
@@ -149,6 +147,7 @@ class BudgetSettings(Settings):
 class BudgetSession(Session):
     """A batch of scenes in which cameras cost time."""
 
+    switchable: ClassVar[bool] = True
     settings: BudgetSettings
     replay: BudgetReplay
 
@@ -160,8 +159,8 @@ class BudgetSession(Session):
         if missing:
             raise RecordingError(f"the manifest has no camera_cost_ms for {', '.join(missing)}: record anew")
         self.cost_ms = np.array([costs[camera] for camera in self.replay.cameras])
-        self.reward.report = (*self.reward.report, "reward_cost", "cost_ms")
-        self._report_shape = len(self.reward.report), batch
+        self.reward.terms = (*self.reward.terms, "reward_cost", "cost_ms")
+        self._report_shape = self._report_shape[0] + 2, batch
 
     def _build_replay(self, recordings: Recordings, keep_trajectories: bool) -> BudgetReplay:
         s = self.settings
@@ -176,22 +175,16 @@ class BudgetSession(Session):
             keep_trajectories=keep_trajectories,
         )
 
-    def _switches(self) -> int:
-        return len(self.replay.cameras)
-
-    def _step(self, actions: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float64], int]:
-        """Mix the experts by the first numbers of each action, then switch cameras by the sign of the others."""
-        experts, state = len(self.replay.experts), self.replay.state
-        self.rule.complain(actions)
-        paused = state["pause"].copy()
-        flat, report, ended = super()._step(np.ascontiguousarray(actions[:, :experts]))
-        goes_on = ~(paused | state["done"])
-        on = actions[:, experts:] > 0.0
+    def _switch(self, actions: NDArray[np.float32], report: NDArray[np.float64], flat: NDArray[np.float32]) -> None:
+        """Switch cameras by the sign of an action's last numbers, charge for it, and correct the observation."""
+        state = self.replay.state
+        goes_on = (state["step"] > 0) & ~state["done"]  # neither paused nor over
+        on = actions[:, -self.switches :] > 0.0
         self.replay.switch(goes_on, on)
         report[-1] = np.where(goes_on, on @ self.cost_ms, 0.0)
         report[-2] = -self.settings.price_per_ms * report[-1]
         report[0] += report[-2]
-        return self.replay.silenced(flat), report, ended
+        self.replay.silenced(flat)
 
 
 class MixoOdometryBudgetEnv(MixoOdometryEnv):

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from mixo_env.envs.session import Session
 from mixo_env.envs.settings import Settings
+from mixo_env.envs.stepping import REPORT
 from mixo_env.errors import ConfigurationError, unknown
 
 RENDER_MODES = ["ansi", "rgb_array"]
@@ -167,8 +168,10 @@ class MixoOdometryEnv(gym.Env[Any, Any]):
             raise ConfigurationError("the scene has ended: call reset() before step()")
         session = self.session
         observation, report, ended = session.play(session.rule.read(action, None))
-        info: dict[str, Any] = dict(zip(session.reward.report, report.ravel().tolist(), strict=True))
-        reward = info.pop("reward")
+        reward, increment, error, *terms = report.ravel().tolist()
+        info: dict[str, Any] = {"yaw_increment_rad": increment, "yaw_error_rad": error}
+        for name, term in zip(session.reward.terms, terms, strict=False):
+            info[name] = term
         self._ended = ended > 0
         if self._ended:
             scores = {name: float(values[0]) for name, values in session.replay.scores().items()}
@@ -248,7 +251,7 @@ class MixoOdometryVectorEnv(VectorEnv[Any, Any, Any]):
         observation, report, ended = session.play(session.rule.read(actions, self.num_envs))
         truncated = session.replay.done.copy()
         reward = report[0]
-        told = dict(zip(session.reward.report[1:], report[1:], strict=True))
+        told = dict(zip(REPORT[1:] + session.reward.terms, report[1:], strict=True))
         if ended and mode is AutoresetMode.SAME_STEP:
             info |= {"final_obs": self._listed(observation, truncated), "_final_obs": truncated.copy()}
             final = only(told, truncated) | self._scores(truncated) | self._image_info(truncated)

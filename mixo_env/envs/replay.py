@@ -36,7 +36,6 @@ class Replay:
         cameras: those of them that are cameras.
         layout: of the flat observation.
         state: ``(batch,)`` STATE after :meth:`reset`; read only.
-        delivers: ``(batch, experts)`` bool; False silences an expert at the coming step whatever it recorded.
     """
 
     camera_increments: ClassVar[str] = "yaw_increment_rad"
@@ -112,7 +111,6 @@ class Replay:
         self.starts["course_rad"] = self._start[:, 2] + self._course_offset
         self.starts["previous_yaw_rate"] = previous_rate[self.starts["first"]]
         self._keep_trajectories = keep_trajectories
-        self.delivers = np.ones((0, len(self.experts)), dtype=np.bool_)
         self.history = np.zeros((0, 0))
 
     def __len__(self) -> int:
@@ -130,6 +128,12 @@ class Replay:
         return self.state["done"]
 
     @property
+    def voting(self) -> NDArray[np.bool_]:
+        """``(batch, experts)``: the expert, or its substitute, has a vote in the coming step."""
+        silent = (self.state["silent"][:, None] >> np.arange(len(self.experts))) & 1 == 1
+        return np.isfinite(self.increments[self.state["row"]]) & ~(silent & self.mask)
+
+    @property
     def steps(self) -> NDArray[np.int64]:
         """``(scenes,)`` number of steps of each scene."""
         return self.starts["stop"] - self.starts["first"]
@@ -139,7 +143,6 @@ class Replay:
         chosen = np.asarray(scenes, dtype=np.int64)
         if self.batch != len(chosen):
             self.state = np.zeros(len(chosen), STATE)
-            self.delivers = np.ones((len(chosen), len(self.experts)), dtype=np.bool_)
             self.history = np.zeros((int(self.steps.max()) if self._keep_trajectories else 0, len(chosen)))
         self.restart(np.arange(len(chosen)), chosen)
 
@@ -172,7 +175,6 @@ class Replay:
             shares,
             self.mask,
             self.state,
-            self.delivers,
             self.increments,
             self.table,
             self.history,

@@ -11,7 +11,6 @@ from typing import Literal
 import numpy as np
 
 from mixo_env.envs.replay import Replay
-from mixo_env.envs.stepping import REPORT
 from mixo_env.envs.tables import collect_votes, step_rows
 from mixo_env.errors import ConfigurationError, unknown
 from mixo_env.fusion import least_squares_weights, mix
@@ -36,8 +35,7 @@ class Reward:
 
     Attributes:
         code: of the option, for the compiled loop.
-        terms: names of the terms.
-        report: names of the rows of a step's report: what it was, then the terms.
+        terms: names of the terms; they are the rows of a step's report after REPORT.
         scale_rad: sigma_0.
     """
 
@@ -47,7 +45,6 @@ class Reward:
             raise ConfigurationError(unknown("reward option", name, TERMS))
         self.code = list(TERMS).index(name)
         self.terms = TERMS[name]
-        self.report = REPORT + self.terms
         self.scale_rad = replay.recordings.manifest.reward_scale_rad.get(track, DEFAULT_SCALE_RAD)
         if name == "improvement":
             steps = step_rows(training)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from gymnasium import spaces
@@ -15,7 +15,7 @@ from mixo_env.envs.observation import PAPER, RICH
 from mixo_env.envs.replay import Replay
 from mixo_env.envs.reward import Reward
 from mixo_env.envs.settings import Settings
-from mixo_env.envs.stepping import RULES, play
+from mixo_env.envs.stepping import REPORT, RULES, play
 from mixo_env.errors import ConfigurationError, RecordingError, unknown
 from mixo_env.recordings.collection import Recordings
 
@@ -38,6 +38,9 @@ class Session:
         weights: ``(batch, experts)`` of the last step; kept up to date only where trajectories are kept.
     """
 
+    switchable: ClassVar[bool] = False
+    """Whether an action ends with a switch for every camera."""
+
     def __init__(self, settings: Settings, batch: int, *, keep_trajectories: bool = True) -> None:
         """Open the recordings and build the core for ``batch`` environments; rendering needs the trajectories."""
         self.settings = settings
@@ -51,7 +54,8 @@ class Session:
             raise ConfigurationError(f"experts: expected two or more, got {self.replay.experts}: nothing to mix")
         if not np.isfinite(self.replay.table["truth_rad"]).all():
             raise RecordingError("these recordings lack ground truth in some steps: an environment needs it to reward")
-        self.rule = ActionRule(settings.weights, len(self.replay.experts), settings.raw_scale, self._switches())
+        self.switches = len(self.replay.cameras) if self.switchable else 0
+        self.rule = ActionRule(settings.weights, len(self.replay.experts), settings.raw_scale, self.switches)
         self.reward = Reward(settings.reward, self.replay, settings.track, self._training)
         layout = self.replay.layout
         self._named_parts = settings.observation == "dict"
@@ -71,7 +75,8 @@ class Session:
         self._keep_trajectories = keep_trajectories
         self.replay.reset(np.zeros(batch, np.int64))
         self._game = self._compiled_arguments()
-        self._report_shape = len(self.reward.report), batch
+        self._flat = isinstance(self.observation_space, spaces.Box)
+        self._report_shape = len(REPORT) + len(self.reward.terms), batch
         self._flat_shape = batch, layout.width
 
     def rewind(self) -> None:
@@ -112,19 +117,22 @@ class Session:
             actions: ``(batch, width)`` as :meth:`ActionRule.read` returns them.
 
         Returns:
-            The next observation; the report ``(rows, batch)``, rows named by ``Reward.report``; how many scenes have
+            The next observation; the report ``(rows, batch)``, rows named by REPORT and the reward's terms; how many scenes have
             ended.
 
         Raises:
             ConfigurationError: for NaN and for numbers out of range; nothing has changed then.
         """
         if self._keep_trajectories:
-            votes = np.isfinite(self.replay.increments[self.replay.state["row"]]) & (
-                self.replay.delivers | (not self.replay.mask)
-            )
-            self.weights = self.rule.weights(actions, votes)
-        flat, report, ended = self._step(actions)
-        return self._dressed(flat), report, ended
+            self.weights = self.rule.weights(actions, self.replay.voting)
+        report = np.empty(self._report_shape)
+        flat = np.empty(self._flat_shape, np.float32)
+        ended = play(actions, report, flat, *self._game)
+        if ended < 0:
+            self.rule.complain(actions)
+        if self.switches:
+            self._switch(actions, report, flat)
+        return (flat if self._flat else self._dressed(flat)), report, ended
 
     def observe(self) -> Observation:
         """The batch's observation: ``(batch, width)``, or name -> ``(batch, width)``."""
@@ -160,13 +168,8 @@ class Session:
             keep_trajectories=keep_trajectories,
         )
 
-    def _step(self, actions: NDArray[np.float32]) -> tuple[NDArray[np.float32], NDArray[np.float64], int]:
-        report = np.empty(self._report_shape)
-        flat = np.empty(self._flat_shape, np.float32)
-        ended = play(actions, report, flat, *self._game)
-        if ended < 0:
-            self.rule.complain(actions)
-        return flat, report, ended
+    def _switch(self, actions: NDArray[np.float32], report: NDArray[np.float64], flat: NDArray[np.float32]) -> None:
+        """What the numbers of ``actions`` beyond the weights do, in environments that have ``switches``."""
 
     def _dressed(self, flat: NDArray[np.float32]) -> Observation:
         if self._named_parts:
@@ -186,10 +189,7 @@ class Session:
             *(replay.mask, replay.fused, replay.rate_limit),
             *(reward.code, reward.scale_rad),
         )
-        return rules, replay.state, replay.delivers, replay.increments, replay.table, replay.history, replay.context
-
-    def _switches(self) -> int:
-        return 0
+        return rules, replay.state, replay.increments, replay.table, replay.history, replay.context
 
     def _named(self, asked: str | Sequence[str], count: int) -> NDArray[np.int64]:
         names = [asked] * count if isinstance(asked, str) else list(asked)

@@ -51,6 +51,7 @@ STATE = np.dtype(
         ("sum_position_error_m2", np.float64),  # sums over the steps of the scene
         ("sum_yaw_error_rad2", np.float64),
         ("sum_error_rad2", np.float64),
+        ("silent", np.int64),  # bit j: expert j delivers nothing at the coming step, whatever it recorded
         ("done", np.bool_),
         ("pause", np.bool_),  # just restarted: sit out the coming step
     ],
@@ -128,6 +129,7 @@ def restart(state: Any, which: Any, scenes: Any, starts: Any, pause: bool) -> No
         s.course_cos = math.cos(start.course_rad)
         s.course_sin = math.sin(start.course_rad)
         s.position_error_m2 = s.sum_position_error_m2 = s.sum_yaw_error_rad2 = s.sum_error_rad2 = 0.0
+        s.silent = 0
         s.done = False
         s.pause = pause
 
@@ -152,7 +154,6 @@ def advance(
     shares: bool,
     mask: bool,
     state: Any,
-    delivers: Any,
     increments: Any,
     table: Any,
     history: Any,
@@ -164,7 +165,6 @@ def advance(
         shares: whether to normalise ``scores`` over the experts that vote.
         mask: silenced experts do not vote (otherwise the substitute votes in their place).
         state: ``(batch,)`` STATE, changed in place.
-        delivers: ``(batch, experts)`` bool; False silences an expert whatever it recorded.
         increments: ``(rows, experts)``; NaN for experts that do not vote.
         table: ``(rows,)`` STEP.
         history: ``(longest scene, batch)``; receives the fused increments. Empty: they are not kept.
@@ -182,7 +182,7 @@ def advance(
         votes = 0
         for j in range(experts):
             increment = increments[row, j]
-            if not delivers[b, j]:
+            if (s.silent >> j) & 1:
                 increment = np.nan if mask else k.substitute_rad
             if increment == increment:
                 fused += scores[b, j] * increment
@@ -286,7 +286,6 @@ def play(
     out: Any,
     rules: Any,
     state: Any,
-    delivers: Any,
     increments: Any,
     table: Any,
     history: Any,
@@ -301,7 +300,7 @@ def play(
     scores = np.empty(actions.shape)
     if not score(actions.ravel(), r.scale, r.exponential, scores.ravel()):
         return -1
-    advance(scores, r.shares, r.mask, state, delivers, increments, table, history)
+    advance(scores, r.shares, r.mask, state, increments, table, history)
     ended = judge(state, r.reward, r.sigma_rad, report)
     look(out, state, context, r.fused, r.rate_limit)
     return ended

@@ -74,11 +74,13 @@ def with_held_out_constants(recordings: Recordings) -> Recordings:
     """The recordings as cross-validation must see them: no scene's constants are fitted on its own fold.
 
     Every vehicle is entered once per fold it drives in, as ``"<vehicle> in fold <fold>"``, with constants from the
-    other folds (a night scene, in fold -1: from all folds). With fewer than two folds nothing changes.
+    other folds (a night scene, in fold -1: from all folds). With fewer than two folds there is nothing to fit them on
+    that is not scored: they stay nominal.
     """
     folds = sorted({scene.fold for scene in recordings.scenes if scene.fold >= 0})
     if len(folds) < 2:
-        return recordings
+        nominal = {scene.vehicle: VehicleConstants() for scene in recordings.scenes}
+        return recordings.replace(replace(recordings.manifest, vehicles=nominal))
     constants: dict[str, VehicleConstants] = {}
     for fold in {scene.fold for scene in recordings.scenes}:
         names = [scene.vehicle for scene in recordings.scenes if scene.fold == fold]

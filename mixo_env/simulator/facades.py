@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
-from numpy.typing import NDArray
 
 from mixo_env.simulator.textures import WORDS, Bytes, Floats, rgba, spectral_noise, write
 
@@ -27,7 +28,7 @@ _BASES = np.array(
 )
 
 
-def _wall(rng: np.random.Generator, base: NDArray[np.float32], kind: str) -> Floats:
+def _wall(rng: np.random.Generator, base: Floats, kind: str) -> Floats:
     """Wall material without windows, ``(FACADE_SIDE, FACADE_SIDE, 3)``."""
     side = FACADE_SIDE
     light = 1.0 + 0.06 * spectral_noise(side, side, 1.3, rng) + 0.035 * spectral_noise(side, side, 0.4, rng, 20.0)
@@ -65,7 +66,7 @@ def _pane(rng: np.random.Generator, height: int, width: int) -> Floats:
     return pane
 
 
-def _curtain_wall(rng: np.random.Generator, base: NDArray[np.float32]) -> tuple[Floats, Floats]:
+def _curtain_wall(rng: np.random.Generator, base: Floats) -> tuple[Floats, Floats]:
     """Office front of glass panes between thin bars, and its light at night."""
     side = FACADE_SIDE
     image = np.empty((side, side, 3), np.float32)
@@ -83,7 +84,8 @@ def _curtain_wall(rng: np.random.Generator, base: NDArray[np.float32]) -> tuple[
             image[y1 - 34 : y1, x0:x1] = base * 0.75  # the storey's edge
             image[y0:y1, x0 : x0 + 2] = base * 0.5
             glow[y0 : y1 - 34, x0:x1] = 90.0 if rng.random() < 0.3 else 0.0
-        image[y1 - 34 : y1 - 31] = base * 1.2
+        edge = (i + 1) * storey - 34
+        image[edge : edge + 3] = base * 1.2
     image *= 1.0 + 0.05 * spectral_noise(side, side, 1.4, rng)[..., None]
     return image, glow
 
@@ -146,7 +148,7 @@ def shop_front(rng: np.random.Generator) -> Bytes:
     image *= 1.0 + 0.06 * spectral_noise(height, width, 1.0, rng)[..., None]
     glow = np.zeros((height, width), np.float32)
     cuts = [0, *sorted(rng.choice(np.arange(2, 7), 2, replace=False) * 128), width]
-    for left, right in zip(cuts[:-1], cuts[1:], strict=True):
+    for left, right in pairwise(cuts):
         board = 0.5 * rng.uniform(20, 240) + 0.5 * rng.uniform(20, 240, 3)
         image[14:64, left:right] = board * np.linspace(1.08, 0.92, 50)[:, None, None]
         ink = np.full(3, 245.0) if board.mean() < 130 else rng.uniform(0, 90, 3)

@@ -21,7 +21,7 @@ def _place(states, models, size, source, target, texels_per_m, sun, shadows):
     """Copy the models named in ``models`` to their ``states`` (x, y, yaw); see :class:`Fleet`."""
     start, geometry, texel, look, tag, spheres = source
     out_start, out_geometry, out_texel, out_look, out_tag, out_spheres = target
-    q = 0
+    q = under = 0
     for n in range(states.shape[0]):
         x, y, m = states[n, 0], states[n, 1], models[n]
         c, s = np.cos(states[n, 2]), np.sin(states[n, 2])

@@ -1,7 +1,7 @@
 """What stands in a street: houses, walls, hedges, trees, lamps, signs and boxes.
 
-Everything is built in the frame of one side of a block: x along the house fronts to the right as seen from the street, y away
-from the street (the pavement has y < 0), z up.
+Everything is built in the frame of one side of a block: x along the house fronts to the right as seen from the street,
+y away from the street (the pavement has y < 0), z up.
 """
 
 from __future__ import annotations
@@ -156,7 +156,7 @@ def street_lamp(materials: Materials, rng: np.random.Generator) -> Mesh:
 
 def traffic_sign(materials: Materials, rng: np.random.Generator) -> Mesh:
     """A plate on a pole at the origin, facing along the street."""
-    plate = Surface(_one(materials.signs, rng), (128.0 / 0.7,) * 2, detail=0.2, shape=TWO_SIDED)
+    plate = Surface(_one(materials.signs, rng), (183.0, 183.0), detail=0.2, shape=TWO_SIDED)
     pole = box(materials.metal, None, (-0.04, 0.04), (-0.04, 0.04), (0.0, 2.9), rng)
     return mesh_of([*pole, quad(plate, (0.05, 0.35, 2.9), (0.0, -0.7, 0.0), (0.0, 0.0, -0.7))])
 

@@ -57,11 +57,11 @@ def _arrow(along: float, across: float, kind: int) -> NDArray[np.float64]:
         (1.6, 0.1),
         (0, 0.1),
     ]
-    return np.array(bent if kind else straight) + (along, across)
+    return np.add(bent if kind else straight, (along, across))
 
 
 def _markings_along_x(rng: np.random.Generator, x: Floats, y: Floats, texels_per_m: float) -> NDArray[np.uint8]:
-    """Paint (0..255) of the streets that run along x; ``x`` (n,) and ``y`` (n,) are signed distances to the nearest street."""
+    """Paint (0..255) of the streets along x; ``x`` (n,), ``y`` (n,) are signed distances to the nearest street."""
     side = len(x)
     paint = np.zeros((side, side), np.uint8)
     clear = np.abs(x) > CROSSING_M
@@ -88,9 +88,9 @@ def _markings_along_x(rng: np.random.Generator, x: Floats, y: Floats, texels_per
                     if rng.random() < 0.3:
                         continue
                     outline = sense * _arrow(-CROSSING_M - back, -1.75, int(rng.integers(2)))
-                    outline = (outline + (i * period, j * period)) % (3.0 * period)
+                    outline = np.add(outline, (i * period, j * period)) % (3.0 * period)
                     if np.ptp(outline) < 1.5 * period or np.ptp(outline[:, 0]) < 5.0:
-                        cv2.fillPoly(paint, [np.int32(outline * texels_per_m * 16)], 220, cv2.LINE_AA, 4)
+                        cv2.fillPoly(paint, [(outline * texels_per_m * 16).astype(np.int32)], 220, cv2.LINE_AA, 4)
     return paint
 
 
@@ -111,7 +111,7 @@ def ground_texture(rng: np.random.Generator, side: int = 4096) -> Bytes:
     light = 1.0 + 0.10 * coarse + 0.06 * fine
     wear = _wear(rng, side, scale)
     light += np.where(surface == _ROAD, wear, 0.5 * wear)
-    slab = np.arange(side) % max(1, int(round(1.25 * texels_per_m))) == 0
+    slab = np.arange(side) % max(1, round(1.25 * texels_per_m)) == 0
     light[(surface == _SLABS) & (slab[:, None] | slab[None, :])] *= 0.84
     wheels = np.abs(np.abs(offset) - 1.75)
     tracks = (0.05 * np.exp(-(((wheels - 0.75) / 0.3) ** 2))).astype(np.float32)

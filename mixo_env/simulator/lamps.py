@@ -9,6 +9,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from mixo_env.simulator.shading import RADIANCE_TOP
 from mixo_env.simulator.vehicles import VEHICLE_KINDS, VehicleState
 
 WINDOW = 512
@@ -16,7 +17,6 @@ WINDOW = 512
 
 _CELL = 8
 _FIELD = (1 << 21) - 1
-_TOP = (1 << 18) - 1
 
 
 @njit(cache=True, error_model="numpy")
@@ -38,7 +38,7 @@ def _add_beams(window, origin, beams):
 def light_window(
     lamp_light: NDArray[np.float32], extent_m: float, position_m: NDArray[np.float64], vehicles: Sequence[VehicleState]
 ) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
-    """Lamp light around the camera with the beams of the vehicles: ``(WINDOW, WINDOW)`` and the map position of its corner."""
+    """Lamp light and the vehicles' beams around the camera: ``(WINDOW, WINDOW)`` and its corner on the map."""
     corner = np.floor(position_m[:2]).astype(int) - WINDOW // 2
     window = np.zeros((WINDOW, WINDOW), np.float32)
     from_map = corner + int(0.5 * extent_m)
@@ -56,33 +56,40 @@ def light_window(
 
 @njit(cache=True, error_model="numpy")
 def _bright(radiance, threshold, cells):
-    for y in range(cells.shape[0] * _CELL):
-        for x in range(cells.shape[1] * _CELL):
+    """Add the light above ``threshold`` of every second pixel in every second row to its cell."""
+    for y in range(0, cells.shape[0] * _CELL, 2):
+        for x in range(0, cells.shape[1] * _CELL, 2):
             word = radiance[y, x]
             for c in range(3):
                 excess = (word >> 21 * c & _FIELD) - threshold
                 if excess > 0:
-                    cells[y // _CELL, x // _CELL, c] += excess
+                    cells[y // _CELL, x // _CELL, c] += 4 * excess
 
 
 @njit(cache=True, error_model="numpy")
 def _add(radiance, cells):
+    """Add ``cells`` (h, w, 3), given at the centres of the cells, to the picture; dark cells cost nothing."""
     height, width = radiance.shape
     rows, columns, _ = cells.shape
-    for y in range(height):
-        v = min(max((y + 0.5) / _CELL - 0.5, 0.0), rows - 1.001)
-        b = v - int(v)
-        for x in range(width):
-            u = min(max((x + 0.5) / _CELL - 0.5, 0.0), columns - 1.001)
-            a = u - int(u)
-            word = radiance[y, x]
-            total = 0
-            for c in range(3):
-                upper = cells[int(v), int(u), c] * (1.0 - a) + cells[int(v), int(u) + 1, c] * a
-                lower = cells[int(v) + 1, int(u), c] * (1.0 - a) + cells[int(v) + 1, int(u) + 1, c] * a
-                value = (word >> 21 * c & _FIELD) + int(upper * (1.0 - b) + lower * b)
-                total |= min(value, _TOP) << 21 * c
-            radiance[y, x] = total
+    half = _CELL // 2
+    for i in range(rows - 1):
+        for j in range(columns - 1):
+            corners = cells[i : i + 2, j : j + 2]
+            if corners.max() < 2.0:
+                continue
+            for y in range(0 if i == 0 else i * _CELL + half, height if i == rows - 2 else (i + 1) * _CELL + half):
+                b = min(max((y + 0.5) / _CELL - 0.5 - i, 0.0), 1.0)
+                left, right = j * _CELL + half, (j + 1) * _CELL + half
+                for x in range(0 if j == 0 else left, width if j == columns - 2 else right):
+                    a = min(max((x + 0.5) / _CELL - 0.5 - j, 0.0), 1.0)
+                    word = radiance[y, x]
+                    total = 0
+                    for c in range(3):
+                        upper = corners[0, 0, c] * (1.0 - a) + corners[0, 1, c] * a
+                        lower = corners[1, 0, c] * (1.0 - a) + corners[1, 1, c] * a
+                        value = (word >> 21 * c & _FIELD) + int(upper * (1.0 - b) + lower * b)
+                        total |= min(value, RADIANCE_TOP) << 21 * c
+                    radiance[y, x] = total
 
 
 def add_glare(radiance: NDArray[np.int64], threshold: float, share: float) -> None:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from mixo_env.simulator.facades import FACADE_TEXELS_PER_M, SHOP_TEXELS_PER_M, facade, shop_front
 from mixo_env.simulator.mesh import CUT_OUT, GROUND, TWO_SIDED, Surface
-from mixo_env.simulator.textures import Atlas, foliage, plain, rgba, sign, spectral_noise
+from mixo_env.simulator.textures import Atlas, Floats, foliage, plain, rgba, sign, spectral_noise
 
 KERB_M = 0.12
 """Height of the pavement above the road."""
@@ -38,7 +38,7 @@ class Materials:
     ground: Surface
 
 
-def _stripes(rng: np.random.Generator, first: float, second: float, side: int = 64) -> NDArray[np.float32]:
+def _stripes(rng: np.random.Generator, first: float, second: float, side: int = 64) -> Floats:
     image = np.full((side, side, 3), first, np.float32)
     image[:, side // 2 :] = second
     return image * (1.0 + 0.06 * spectral_noise(side, side, 1.0, rng))[..., None]
@@ -58,7 +58,9 @@ def city_materials(
         grain: factor on the fine grain of all surfaces.
     """
 
-    def surface(number: int, per_m: float, grain_m: float = 2.5, strength: float = 1.0, emission: float = 0.0) -> Surface:
+    def surface(
+        number: int, per_m: float, grain_m: float = 2.5, strength: float = 1.0, emission: float = 0.0
+    ) -> Surface:
         return Surface(number, (per_m, per_m), detail_m=grain_m, detail=grain * strength, emission=emission)
 
     def coloured(colour: tuple[float, float, float], contrast: float, per_m: float) -> Surface:
@@ -70,8 +72,8 @@ def city_materials(
 
     def leaves(colour: NDArray[np.float32]) -> Surface:
         number = atlas.add(foliage(rng, colour, _LEAF_SIDE))
-        scale = (float(_LEAF_SIDE),) * 2
-        return Surface(number, scale, detail_m=1.1, detail=0.6 * grain, shape=CUT_OUT | TWO_SIDED)
+        scale = float(_LEAF_SIDE)
+        return Surface(number, (scale, scale), detail_m=1.1, detail=0.6 * grain, shape=CUT_OUT | TWO_SIDED)
 
     def kerb(first: float, second: float) -> Surface:
         number = atlas.add(rgba(_stripes(rng, first, second)))
@@ -95,5 +97,7 @@ def city_materials(
         metal=coloured((92.0, 94.0, 96.0), 0.08, 100.0),
         bark=coloured((84.0, 68.0, 54.0), 0.25, 100.0),
         lamp=Surface(atlas.add(bulb), (60.0, 60.0), detail=0.0, emission=4.0),
-        ground=Surface(ground, (ground_texels_per_m,) * 2, detail_m=2.6, detail=0.55 * grain, material=GROUND),
+        ground=Surface(
+            ground, (ground_texels_per_m, ground_texels_per_m), detail_m=2.6, detail=0.55 * grain, material=GROUND
+        ),
     )

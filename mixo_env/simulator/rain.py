@@ -19,14 +19,18 @@ _FIRST_REACH_M = 25.0
 def mirror_road(radiance, owner, depth, mark, rotation, position, lens, clouds, sky, wetness):
     """Blend into the road what it mirrors, found in the picture itself.
 
-    The mirrored ray leaves the road at P in the direction d' (d with its vertical part reversed). The picture is read where
-    P + s d' is seen; s is first a guess, then such that the depth agrees with the surface seen there. Four neighbouring pixels
-    share one search.
+    The mirrored ray leaves the road at P in the direction d' (d with its vertical part reversed). The picture is read
+    where P + s d' is seen; s is first a guess, then such that the depth agrees with the surface seen there. Four
+    neighbouring pixels share one search.
 
     Args:
         radiance: ``(h, w)`` int64 as ``shade`` leaves it; changed in place.
-        owner, depth, mark: of ``draw_groups``.
-        rotation, position, lens: as in ``draw_groups``.
+        owner: of ``DepthBuffers``.
+        depth: of ``DepthBuffers``.
+        mark: of ``DepthBuffers``.
+        rotation: ``(3, 3)`` camera from map.
+        position: ``(3,)`` of the camera.
+        lens: fx, fy, cx, cy.
         clouds: ``(512, 512)`` bytes of noise that says where water stands.
         sky: packed radiance for rays that leave the picture.
         wetness: 0..1.
@@ -104,7 +108,7 @@ def add_spray(radiance, depth, puffs, lens, clouds, colour):
     Args:
         radiance: as in ``mirror_road``.
         depth: ``(h, w)`` 1/z.
-        puffs: ``(n, 6)`` camera coordinates in metres, radius in metres, opacity, offset into the noise; farthest first.
+        puffs: ``(n, 6)`` camera coordinates and radius in metres, opacity, offset into the noise; farthest first.
         lens: fx, fy, cx, cy.
         clouds: noise that makes them ragged.
         colour: packed radiance of the water.

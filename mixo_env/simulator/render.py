@@ -14,8 +14,9 @@ from mixo_env.simulator.fleet import Fleet, body_motion
 from mixo_env.simulator.lamps import add_glare, light_window
 from mixo_env.simulator.rain import add_spray, mirror_road, spray_puffs
 from mixo_env.simulator.rasterizer import DepthBuffers
+from mixo_env.simulator.sampling import even_cells
 from mixo_env.simulator.sensor import NOISE_SIDE, expose, spread_motion
-from mixo_env.simulator.shading import even_cells, shade
+from mixo_env.simulator.shading import shade
 from mixo_env.simulator.shadows import EXTENT_M
 from mixo_env.simulator.vehicles import VehicleState
 from mixo_env.simulator.weather import Weather, weather_named
@@ -96,7 +97,9 @@ class Renderer:
         columns = 3 * _WIDEST_PX + NOISE_SIDE
         self._noise = np.random.default_rng(20).standard_normal((NOISE_SIDE, columns), np.float32)
         self._fleet = Fleet(world, shadows=self.weather.sun > 0.0)
-        self._sun_cells = even_cells(world.sunlight)
+        self._daylight = world.sunlight, even_cells(world.sunlight), world.shadow_height
+        grain = world.detail, world.detail_start
+        self._textures = world.texels, world.table, *grain, world.sky, world.ground_texels_per_m
         self._no_lamps = np.zeros((1, 1), np.float32), np.zeros(2)
         w, unit = self.weather, RADIANCE_UNIT
         self._light = np.array(
@@ -127,7 +130,8 @@ class Renderer:
 
         Args:
             calibration: intrinsics and image size; the mounting only aims the head lights.
-            start, end: of the camera when the shutter opens and closes, ``weather.shutter_s`` apart.
+            start: of the camera when the shutter opens.
+            end: when it closes, ``weather.shutter_s`` later.
             vehicles: at the middle of the exposure, the instant that the picture shows.
             gain: from the previous picture of this camera, ``None`` for the first (exposed for itself).
             noise_seed: seed of the sensor noise; different for every picture.
@@ -148,28 +152,13 @@ class Renderer:
             lamps, lamp_origin = light_window(world.lamp_light, EXTENT_M, position, near)
         to_ego = np.column_stack([calibration.rotation_ego_from_camera, calibration.translation_m])
         shade(
-            buffers.owner,
-            buffers.plane,
-            buffers.style,
-            buffers.mark,
-            rotation,
-            position,
-            lens,
-            FAR_M,
+            (buffers.owner, buffers.plane, buffers.style, buffers.mark),
+            (rotation, position, lens, FAR_M),
             self._light,
-            world.texels,
-            world.table,
-            world.detail,
-            world.detail_start,
-            world.sky,
-            world.sunlight,
-            self._sun_cells,
-            world.shadow_height,
-            lamps,
-            lamp_origin,
-            to_ego[:2].ravel(),
+            self._textures,
+            self._daylight,
+            (lamps, lamp_origin, to_ego[:2].ravel()),
             self._motion(pose, end, near),
-            world.ground_texels_per_m,
             radiance,
             flow,
         )
@@ -193,7 +182,7 @@ class Renderer:
         used = wanted if gain is None else gain
         if self.weather.lamps >= 0.5:
             add_glare(radiance, RADIANCE_UNIT / used, GLARE)
-        spread_motion(buffers.depth, flow)
+        spread_motion(buffers.depth, buffers.owner, flow)
         image = np.empty((height, width, 3), np.uint8)
         offset = np.random.default_rng(noise_seed).integers(0, NOISE_SIDE, (height, 2))
         shot, read = self.weather.shot_noise, self.weather.read_noise

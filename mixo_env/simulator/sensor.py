@@ -17,7 +17,7 @@ _FIELD = (1 << 21) - 1
 
 
 @njit(cache=True, error_model="numpy")
-def spread_motion(depth, flow):
+def spread_motion(depth, owner, flow):
     """Let near surfaces that move sideways smear over what is behind them.
 
     ``expose`` averages along each pixel's own motion, so a pole that passes before a distant wall would only be eaten
@@ -25,11 +25,14 @@ def spread_motion(depth, flow):
 
     Args:
         depth: ``(h, w)`` float32 1/z.
+        owner: ``(h, w)`` number of the surface.
         flow: ``(h, w, 2)`` float32, changed in place.
     """
     height, width = depth.shape
     for y in range(height):
         for x in range(width - 1):
+            if owner[y, x] == owner[y, x + 1]:
+                continue
             here, there = depth[y, x], depth[y, x + 1]
             if here > there * _EDGE:
                 first, sense, near = x + 1, 1, x
@@ -60,12 +63,12 @@ def _smear(radiance, flow, y, words, scales):
     for x in range(width):
         du, dv = flow[y, x, 0], flow[y, x, 1]
         length = max(abs(du), abs(dv))
-        if length <= float32(0.7):
+        if length <= float32(1.0):
             continue
         if length > float32(LONGEST_BLUR_PX):
             du *= float32(LONGEST_BLUR_PX) / length
             dv *= float32(LONGEST_BLUR_PX) / length
-        samples = min(int(length + float32(1.3)), MOST_SAMPLES)
+        samples = min(int(length + float32(1.2)), MOST_SAMPLES)
         share = _SHARE[samples]
         # Positions in 1/65536 pixels; the first sample lies half a step after the start of the exposure.
         ax, ay = int(du * share), int(dv * share)

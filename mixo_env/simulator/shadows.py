@@ -1,4 +1,4 @@
-"""Where the sun does not reach: a picture of the ground for everything, and a height field of the houses' shadow above it."""
+"""Where the sun does not reach: a picture of the ground, and a height field of the houses' shadow above it."""
 
 from __future__ import annotations
 
@@ -30,14 +30,19 @@ class Shadows:
 
     def _fill(self, outline: NDArray[np.float64]) -> None:
         points = (outline + 0.5 * EXTENT_M) * PICTURE_TEXELS_PER_M - 0.5
-        cv2.fillConvexPoly(self._picture, np.int32(np.round(points * 16)), 0, cv2.LINE_AA, 4)
+        cv2.fillConvexPoly(self._picture, np.round(points * 16).astype(np.int32), 0, cv2.LINE_AA, 4)
 
     def prism(self, outline: NDArray[np.float64], height_m: float, floor_m: float = 0.0, field: bool = False) -> None:
-        """Shadow of a convex upright body with ground plan ``outline`` (n, 2); ``field`` also shades what stands behind it."""
-        hull = cv2.convexHull(
-            np.float32(np.vstack([outline + self._shift * floor_m, outline + self._shift * height_m]))
-        )[:, 0]
-        self._fill(hull.astype(np.float64))
+        """Shadow of a convex upright body over the ground plan ``outline`` (n, 2).
+
+        Args:
+            outline: map frame, metres.
+            height_m: of its top.
+            floor_m: of its underside.
+            field: whether it also shades walls and vehicles.
+        """
+        points = np.vstack([outline + self._shift * floor_m, outline + self._shift * height_m])
+        self._fill(cv2.convexHull(points.astype(np.float32))[:, 0].astype(np.float64))
         if field:
             low = ((outline.min(axis=0) + 0.5 * EXTENT_M) * FIELD_TEXELS_PER_M).round().astype(int)
             high = ((outline.max(axis=0) + 0.5 * EXTENT_M) * FIELD_TEXELS_PER_M).round().astype(int)
@@ -53,13 +58,13 @@ class Shadows:
 
     def picture(self) -> NDArray[np.uint8]:
         """Sunlight on the ground, 0..255, ``(side, side)`` indexed [y, x] from the south-west corner."""
-        return cv2.GaussianBlur(self._picture, (3, 3), 0.7)
+        return cv2.GaussianBlur(self._picture, (3, 3), 0.7).astype(np.uint8)
 
     def field(self) -> NDArray[np.float32]:
         """Height in metres below which a point lies in a house's shadow, ``(side, side)`` indexed [y, x].
 
-        The largest of h(p + k d) - k e over k steps d towards the sun, each of which the shadow's edge sinks by e. Doubling
-        the reach log2(n) times gives all n steps.
+        The largest of h(p + k d) - k e over k steps d towards the sun, each of which the shadow's edge sinks by e.
+        Doubling the reach log2(n) times gives all n steps.
         """
         flat = float(np.linalg.norm(self.sun[:2]))
         towards = self.sun[:2] / flat * FIELD_TEXELS_PER_M * 0.5  # steps of half a metre

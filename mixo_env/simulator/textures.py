@@ -1,8 +1,8 @@
 """Textures made of noise and simple drawing, and the store that holds them with all their reductions.
 
 A texture is an RGBA array of bytes, its sides powers of two, repeating without a seam. Colours are square roots of
-reflectance (gamma 2). The fourth channel is coverage on cut-out patches (leaves) and the strength of emitted light at night on
-all others.
+reflectance (gamma 2). The fourth channel is coverage on cut-out patches (leaves) and the strength of emitted light at
+night on all others.
 """
 
 from __future__ import annotations
@@ -12,16 +12,47 @@ import numpy as np
 from numpy.typing import NDArray
 
 Bytes = NDArray[np.uint8]
-Floats = NDArray[np.float32]
+Floats = NDArray[np.floating]
 
 LEVELS = 12
 DETAIL_SIDE = 512
 
-WORDS = ["CAFE", "BAKERY", "BANK", "HOTEL", "PHARMACY", "MARKET", "SUSHI", "BOOKS", "LAUNDRY", "PIZZA", "BAR", "SALON", "OPTIK", "FLOWERS", "PARKING", "NOODLE", "DELI", "GYM", "TAILOR", "TEA", "24H", "SALE", "KIOSK", "REPAIR", "LEGAL", "DENTAL", "CYCLES", "MUSIC", "SHOES", "TOYS"]
+WORDS = [
+    "CAFE",
+    "BAKERY",
+    "BANK",
+    "HOTEL",
+    "PHARMACY",
+    "MARKET",
+    "SUSHI",
+    "BOOKS",
+    "LAUNDRY",
+    "PIZZA",
+    "BAR",
+    "SALON",
+    "OPTIK",
+    "FLOWERS",
+    "PARKING",
+    "NOODLE",
+    "DELI",
+    "GYM",
+    "TAILOR",
+    "TEA",
+    "24H",
+    "SALE",
+    "KIOSK",
+    "REPAIR",
+    "LEGAL",
+    "DENTAL",
+    "CYCLES",
+    "MUSIC",
+    "SHOES",
+    "TOYS",
+]
 
 
 def spectral_noise(height: int, width: int, exponent: float, rng: np.random.Generator, lowest: float = 1.0) -> Floats:
-    """Seamless noise with amplitude 1/f^exponent above ``lowest`` cycles, zero mean, unit deviation: ``(height, width)``."""
+    """Seamless ``(height, width)`` noise, amplitude 1/f^exponent above ``lowest`` cycles, zero mean, unit deviation."""
     rows = np.fft.fftfreq(height)[:, None] * height
     columns = np.fft.rfftfreq(width)[None, :] * width
     frequency = np.hypot(rows, columns)
@@ -98,12 +129,12 @@ def detail_tile(rng: np.random.Generator) -> NDArray[np.uint8]:
     The mixture 1/f^0.55 + 1/f^1.3 + specks gives the corner density and the spectrum slope of real streets.
     """
     side = DETAIL_SIDE
-    grain = 13.0 * spectral_noise(side, side, 0.55, rng, 6.0) + 14.0 * spectral_noise(side, side, 1.3, rng, 2.0)
+    grain = 15.0 * spectral_noise(side, side, 0.55, rng, 6.0) + 16.0 * spectral_noise(side, side, 1.3, rng, 2.0)
     specks = np.zeros((side, side), np.float32)
     for _ in range(700):
         x, y = rng.integers(0, side, 2).tolist()
         radius = int(rng.choice([1, 1, 2, 2, 3, 5]))
-        cv2.circle(specks, (x, y), radius, float(rng.normal(0.0, 26.0)), -1, cv2.LINE_AA)
+        cv2.circle(specks, (x, y), radius, float(rng.normal(0.0, 30.0)), -1, cv2.LINE_AA)
     return np.clip(127.0 + grain + specks, 0.0, 255.0).astype(np.uint8)
 
 

@@ -32,7 +32,7 @@ assert len(_PAINTS) == COLOURS
 
 @dataclass(frozen=True)
 class _Shape:
-    """Profile from the rear bottom over the roof to the front bottom; one word per segment; windows and wheels of the side."""
+    """Profile from rear bottom over the roof to front bottom, a word per segment; windows and wheels of the side."""
 
     profile: tuple[tuple[float, float], ...]
     parts: tuple[str, ...]
@@ -122,7 +122,7 @@ def _side(rng: np.random.Generator, kind: str, paint: NDArray[np.float32]) -> tu
     def texels(points: tuple[tuple[float, float], ...]) -> NDArray[np.int32]:
         column = (0.5 * size.length_m - np.array(points)[:, 0]) * per_m
         row = (size.height_m - np.array(points)[:, 1]) * per_m
-        return np.int32(16 * np.stack([column, row], axis=1))
+        return (16 * np.stack([column, row], axis=1)).astype(np.int32)
 
     def at(x: float, z: float) -> tuple[int, int]:
         return int((0.5 * size.length_m - x) * per_m), int((size.height_m - z) * per_m)
@@ -266,7 +266,7 @@ def _model(
         run = float(np.hypot(x1 - x0, z1 - z0))
         per_m = (128.0 / (2.0 * half), 128.0 / run)
         if part in ("front", "rear", "doors"):
-            look = Surface(ends[part == "front"], per_m, detail=0.1, emission=1.0)
+            look = Surface(ends[part == "front"], per_m, detail=0.1, emission=3.0 if part == "front" else 1.5)
         elif part in ("glass", "screen"):
             look = Surface(glass, (64.0 / (2.0 * half), 64.0 / run), detail=0.05)
         else:
@@ -282,7 +282,8 @@ def _model(
     for y in (half, -half - 0.2):
         parts.append(quad(mirror, (x + 0.12, y, z + 0.16), (0, 0.2, 0), (0, 0, -0.16)))
         parts.append(quad(mirror, (x, y + 0.2, z + 0.16), (0, -0.2, 0), (0, 0, -0.16)))
-    under = Surface(ground, (ground_texels_per_m,) * 2, tint=(0.1,) * 3, detail=0.5, material=SHADE)
+    scale = (ground_texels_per_m, ground_texels_per_m)
+    under = Surface(ground, scale, tint=(0.1, 0.1, 0.1), detail=0.5, material=SHADE)
     parts.append(quad(under, (tail - 0.05, half, 0.02), (length + 0.1, 0, 0), (0, -2 * half, 0)))
     return mesh_of(parts)
 

@@ -16,11 +16,11 @@ from mixo_env.simulator.materials import city_materials
 from mixo_env.simulator.mesh import Mesh, PatchSet, mesh_of, packed, quad
 from mixo_env.simulator.shadows import EXTENT_M, Shadows
 from mixo_env.simulator.streets import HALF_CITY_BLOCKS
-from mixo_env.simulator.textures import Atlas, detail_tile, reductions, sky_tile
+from mixo_env.simulator.textures import Atlas, detail_tile, lanes, reductions, sky_tile
 from mixo_env.simulator.vehicle_models import ground_aligned, vehicle_models
 
 BlockSide = tuple[int, int, str]
-"""Column, row and side (in ``SIDES``) of a block; block (i, j) lies between the streets i, i + 1 in x and j, j + 1 in y."""
+"""Column, row and side (in ``SIDES``) of a block; block (i, j) begins at the streets x = i and y = j."""
 
 _GROUND_HALF_M = 1024.0
 
@@ -50,7 +50,7 @@ class World:
     vehicles: dict[tuple[str, int], Mesh]
     texels: NDArray[np.uint64]
     table: NDArray[np.int64]
-    detail: NDArray[np.uint32]
+    detail: NDArray[np.uint64]
     detail_start: NDArray[np.int64]
     sky: NDArray[np.uint8]
     sunlight: NDArray[np.uint8]
@@ -59,13 +59,16 @@ class World:
     ground_texels_per_m: float
 
 
-def packed_detail(tile: NDArray[np.uint8]) -> tuple[NDArray[np.uint32], NDArray[np.int64]]:
-    """Fine-grain tile with all reductions, the four texels of each interpolation in one word, and where each reduction starts."""
+def packed_detail(tile: NDArray[np.uint8]) -> tuple[NDArray[np.uint64], NDArray[np.int64]]:
+    """Fine grain with all reductions, and where each reduction starts.
+
+    Every texel comes with its right, lower and lower right neighbours in 16-bit lanes.
+    """
     parts = []
     for level in reductions(tile):
-        wide = level.astype(np.uint32)
-        right, below = np.roll(wide, -1, axis=1), np.roll(wide, -1, axis=0)
-        parts.append((wide | right << 8 | below << 16 | np.roll(right, -1, axis=0) << 24).ravel())
+        right, below = np.roll(level, -1, axis=1), np.roll(level, -1, axis=0)
+        corners = np.stack([level, right, below, np.roll(right, -1, axis=0)], axis=-1)
+        parts.append(lanes(corners).ravel())
     start = np.concatenate([[0], np.cumsum([part.size for part in parts[:-1]])]).astype(np.int64)
     return np.concatenate(parts), start
 
