@@ -43,13 +43,13 @@ def conventions(board: Leaderboard) -> list[str]:
     samples = ", ".join(f"{length:g} m {count} ({scenes})" for length, (count, scenes) in pieces)
     if protocol.foreign:
         folds = (
-            "Fewer than two folds: learned policies were fitted on the bundled recordings, wheel scale and course offset "
-            "are nominal."
+            "Fewer than two folds: learned policies were fitted on the bundled recordings, wheel scale and course "
+            "offset are nominal."
         )
     else:
         folds = (
-            f"{len(protocol.folds)} folds by log: learned policies, wheel scale and course offset are fitted on the other "
-            "folds."
+            f"{len(protocol.folds)} folds by log: learned policies, wheel scale and course offset are fitted on the "
+            "other folds."
         )
         if any(table.one_fold is not None for table in board.tables):
             folds += f" {', '.join(ONE_FOLD)} is fitted once and tested on fold {protocol.folds[-1]}."

@@ -74,4 +74,4 @@ def least_squares_weights(increments_rad: ArrayLike, truth_rad: ArrayLike) -> Fl
         truth_rad: ``(T,)`` true increments.
     """
     a = np.asarray(increments_rad, dtype=np.float64)
-    return np.linalg.lstsq(a, np.asarray(truth_rad, dtype=np.float64), rcond=None)[0]
+    return np.linalg.lstsq(a, np.asarray(truth_rad, dtype=np.float64), rcond=None)[0].astype(np.float64, copy=False)

@@ -13,6 +13,7 @@ import pytest
 import simplejpeg
 
 from mixo_env.envs.budget import BudgetReplay
+from mixo_env.envs.stepping import FIRST_EXPERT
 from mixo_env.errors import ConfigurationError, RecordingError
 from mixo_env.experts.expert import State
 from mixo_env.experts.inertial import InertialOdometry
@@ -169,7 +170,7 @@ def test_replay_equals_a_scene_recorded_with_cameras_really_switched(tmp_path: P
             assert observation["awake"][0, c] == (truly[f"{camera}.state"][k] != State.NO_IMAGE)
             if np.isfinite(increment):
                 delivered += 1
-                assert replay.increments[replay.state[0]["row"], j] == increment
+                assert replay.table[replay.state[0]["row"], FIRST_EXPERT + j] == increment
                 for name in ("matches", "inliers", "residual_px", "flow_px"):
                     assert observation[name][0, c] == truly[f"{camera}.{name}"][k], name
         replay.step(np.full((1, len(replay.experts)), 0.2))

@@ -14,6 +14,7 @@ from mixo_env.envs.odometry import MixoOdometryEnv, MixoOdometryVectorEnv
 from mixo_env.envs.replay import Replay
 from mixo_env.envs.session import Session
 from mixo_env.envs.settings import Settings
+from mixo_env.envs.stepping import DT, SUBSTITUTE
 from mixo_env.errors import ConfigurationError, RecordingError
 from mixo_env.experts.expert import State
 from mixo_env.recordings.collection import Recordings
@@ -34,7 +35,7 @@ def silence(
     Args:
         out: ``(batch, width)``, changed in place.
         state: ``(batch,)`` STATE.
-        table: ``(rows,)`` STEP.
+        table: of steps.
         awake: ``(batch, cameras)`` bool: the image of this step was processed.
         expert_of_camera: ``(cameras,)`` position of each camera among the experts.
         columns: first column of each of PARTS, -1 where the observation lacks it.
@@ -51,7 +52,7 @@ def silence(
             j = expert_of_camera[c]
             if not (s.silent >> j) & 1:
                 continue
-            out[b, rates + j] = min(max(k.substitute_rad / k.dt_s, -limit), limit)
+            out[b, rates + j] = min(max(k[SUBSTITUTE] / k[DT], -limit), limit)
             out[b, columns[0] + c] = 0.0
             if available >= 0:
                 out[b, available + j] = 0.0
@@ -65,7 +66,7 @@ def silence(
                 if out[b, available + j] > 0.0:
                     said[count] = out[b, rates + j]
                     count += 1
-            middle = np.median(said[:count]) if count else k.substitute_rad / k.dt_s
+            middle = np.median(said[:count]) if count else k[SUBSTITUTE] / k[DT]
             for j in range(experts):
                 out[b, disagreement + j] = out[b, rates + j] - middle
 

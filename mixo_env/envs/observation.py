@@ -56,7 +56,7 @@ RICH = (
 AWAKE = Quantity("awake", "camera", 0.0, 1.0, "0 or 1", "the image that closes this step was processed")
 """Only in budget environments."""
 
-TRUTH = Quantity("truth_yaw_rate", "one", -np.pi, np.pi, "rad/s", "ground truth: privileged, only when asked for")
+PRIVILEGED = Quantity("truth_yaw_rate", "one", -np.pi, np.pi, "rad/s", "ground truth: privileged, only when asked for")
 
 
 class Layout:

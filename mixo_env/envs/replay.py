@@ -13,8 +13,21 @@ from typing import ClassVar, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from mixo_env.envs.observation import RICH, TRUTH, Layout, Quantity, tabulate
-from mixo_env.envs.stepping import SCENE, SCORES, STATE, advance, look, restart, tally
+from mixo_env.envs.observation import PRIVILEGED, RICH, Layout, Quantity, tabulate
+from mixo_env.envs.stepping import (
+    DISTANCE,
+    DT,
+    FIRST_EXPERT,
+    SCENE,
+    SCORES,
+    STATE,
+    SUBSTITUTE,
+    TRUTH,
+    advance,
+    look,
+    restart,
+    tally,
+)
 from mixo_env.envs.tables import choose_experts, collect_votes, step_rows, tabulate_steps
 from mixo_env.errors import ConfigurationError, unknown
 from mixo_env.fusion import dead_reckon
@@ -78,7 +91,7 @@ class Replay:
         self.recordings = recordings
         self.experts = choose_experts(recordings, track, experts)
         self.cameras = tuple(expert for expert in self.experts if expert in recordings.manifest.cameras)
-        observed = (*quantities, TRUTH) if privileged else quantities
+        observed = (*quantities, PRIVILEGED) if privileged else quantities
         self.layout = Layout(observed, len(self.cameras), len(self.experts))
         self.state = np.zeros(0, STATE)
 
@@ -89,10 +102,8 @@ class Replay:
         self.starts["stop"] = offsets[1:] - np.arange(1, len(recordings) + 1)
         self._start = np.stack([recordings[f"truth.{c}"][offsets[:-1]] for c in ("x_m", "y_m", "yaw_rad")], axis=-1)
         self.votes = collect_votes(recordings, self._steps, self.experts, self.cameras, track, self.camera_increments)
-        self.table = tabulate_steps(recordings, self._steps, self._start, self.votes.substitute_rad)
         self.mask = lost == "mask"
-        lost_votes = np.nan if self.mask else self.votes.substitute_rad[:, None]
-        self.increments = np.where(self.votes.available, self.votes.increments_rad, lost_votes)
+        self.table = tabulate_steps(recordings, self._steps, self._start, self.votes, self.mask)
         self.rate_limit = float(self.layout.high[0])
         self.fused = previous == "fused"
         previous_rate = self._previous_yaw_rate(previous)
@@ -131,7 +142,7 @@ class Replay:
     def voting(self) -> NDArray[np.bool_]:
         """``(batch, experts)``: the expert, or its substitute, has a vote in the coming step."""
         silent = (self.state["silent"][:, None] >> np.arange(len(self.experts))) & 1 == 1
-        return np.isfinite(self.increments[self.state["row"]]) & ~(silent & self.mask)
+        return np.isfinite(self.table[self.state["row"], FIRST_EXPERT:]) & ~(silent & self.mask)
 
     @property
     def steps(self) -> NDArray[np.int64]:
@@ -175,7 +186,6 @@ class Replay:
             shares,
             self.mask,
             self.state,
-            self.increments,
             self.table,
             self.history,
         )
@@ -193,7 +203,7 @@ class Replay:
         x, y, yaw = (float(value) for value in self._start[scene])
         return dead_reckon(
             self.history[:done, entry],
-            self.table["distance_m"][first : first + done],
+            self.table[first : first + done, DISTANCE],
             start=(x, y, yaw),
             course_offset_rad=float(self._course_offset[scene]),
         )
@@ -218,8 +228,8 @@ class Replay:
 
         Before the first step of a scene there is no previous one: the inertial rate of that first step stands in.
         """
-        source = self.table["truth_rad" if previous == "truth" else "substitute_rad"] / self.table["dt_s"]
+        source = self.table[:, TRUTH if previous == "truth" else SUBSTITUTE] / self.table[:, DT]
         rate = np.concatenate([[0.0], source[:-1]])
         first = self.starts["first"]
-        rate[first] = self.table["substitute_rad"][first] / self.table["dt_s"][first]
+        rate[first] = self.table[first, SUBSTITUTE] / self.table[first, DT]
         return rate

@@ -11,6 +11,7 @@ from typing import Literal
 import numpy as np
 
 from mixo_env.envs.replay import Replay
+from mixo_env.envs.stepping import LINEAR_ERROR, TRUTH
 from mixo_env.envs.tables import collect_votes, step_rows
 from mixo_env.errors import ConfigurationError, unknown
 from mixo_env.fusion import least_squares_weights, mix
@@ -50,4 +51,4 @@ class Reward:
             steps = step_rows(training)
             votes = collect_votes(training, steps, replay.experts, replay.cameras, track, replay.camera_increments)
             linear = least_squares_weights(votes.increments_rad, training["truth.yaw_increment_rad"][steps])
-            replay.table["linear_error_rad"] = mix(linear, replay.votes.increments_rad) - replay.table["truth_rad"]
+            replay.table[:, LINEAR_ERROR] = mix(linear, replay.votes.increments_rad) - replay.table[:, TRUTH]

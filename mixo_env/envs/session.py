@@ -15,7 +15,7 @@ from mixo_env.envs.observation import PAPER, RICH
 from mixo_env.envs.replay import Replay
 from mixo_env.envs.reward import Reward
 from mixo_env.envs.settings import Settings
-from mixo_env.envs.stepping import REPORT, RULES, play
+from mixo_env.envs.stepping import REPORT, RULES, TRUTH, play
 from mixo_env.errors import ConfigurationError, RecordingError, unknown
 from mixo_env.recordings.collection import Recordings
 
@@ -52,7 +52,7 @@ class Session:
                 raise ConfigurationError(unknown(f"expert of track {settings.track}", expert, voters))
         if len(self.replay.experts) < 2:
             raise ConfigurationError(f"experts: expected two or more, got {self.replay.experts}: nothing to mix")
-        if not np.isfinite(self.replay.table["truth_rad"]).all():
+        if not np.isfinite(self.replay.table[:, TRUTH]).all():
             raise RecordingError("these recordings lack ground truth in some steps: an environment needs it to reward")
         self.switches = len(self.replay.cameras) if self.switchable else 0
         self.rule = ActionRule(settings.weights, len(self.replay.experts), settings.raw_scale, self.switches)
@@ -117,8 +117,8 @@ class Session:
             actions: ``(batch, width)`` as :meth:`ActionRule.read` returns them.
 
         Returns:
-            The next observation; the report ``(rows, batch)``, rows named by REPORT and the reward's terms; how many scenes have
-            ended.
+            The next observation; the report ``(rows, batch)``, rows named by REPORT and the reward's terms; how many
+            scenes have ended.
 
         Raises:
             ConfigurationError: for NaN and for numbers out of range; nothing has changed then.
@@ -189,7 +189,7 @@ class Session:
             *(replay.mask, replay.fused, replay.rate_limit),
             *(reward.code, reward.scale_rad),
         )
-        return rules, replay.state, replay.increments, replay.table, replay.history, replay.context
+        return rules, replay.state, replay.table, replay.history, replay.context
 
     def _named(self, asked: str | Sequence[str], count: int) -> NDArray[np.int64]:
         names = [asked] * count if isinstance(asked, str) else list(asked)

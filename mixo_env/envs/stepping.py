@@ -13,19 +13,15 @@ from typing import Any
 import numba
 import numpy as np
 
-STEP = np.dtype(
-    [
-        ("substitute_rad", np.float64),  # increment standing in for experts that delivered nothing
-        ("dt_s", np.float64),
-        ("distance_m", np.float64),  # s_k, wheel scale applied
-        ("linear_error_rad", np.float64),  # LINEAR's increment minus the true one, for reward "improvement"
-        ("truth_rad", np.float64),  # true increment
-        ("truth_yaw_rad", np.float64),  # true pose at the end of the step, relative to the scene's start
-        ("truth_x_m", np.float64),
-        ("truth_y_m", np.float64),
-    ]
-)
-"""One recorded step; one cache line."""
+SUBSTITUTE, DT, DISTANCE, LINEAR_ERROR, TRUTH, TRUE_YAW, TRUE_X, TRUE_Y, FIRST_EXPERT = range(9)
+"""Columns of the table of steps (float64, one row per recorded step):
+
+* the increment standing in for experts that delivered nothing [rad];
+* t_k - t_{k-1} [s]; s_k with the wheel scale applied [m];
+* LINEAR's increment minus the true one, for reward "improvement" [rad]; the true increment [rad];
+* the true pose at the end of the step, relative to the scene's start: yaw [rad], x and y along the map's axes [m];
+* from ``FIRST_EXPERT`` on the experts' increments [rad]; NaN for those that do not vote.
+"""
 
 SCENE = np.dtype(
     [("first", np.int64), ("stop", np.int64), ("course_rad", np.float64), ("previous_yaw_rate", np.float64)]
@@ -154,7 +150,6 @@ def advance(
     shares: bool,
     mask: bool,
     state: Any,
-    increments: Any,
     table: Any,
     history: Any,
 ) -> None:
@@ -165,11 +160,10 @@ def advance(
         shares: whether to normalise ``scores`` over the experts that vote.
         mask: silenced experts do not vote (otherwise the substitute votes in their place).
         state: ``(batch,)`` STATE, changed in place.
-        increments: ``(rows, experts)``; NaN for experts that do not vote.
-        table: ``(rows,)`` STEP.
+        table: of steps.
         history: ``(longest scene, batch)``; receives the fused increments. Empty: they are not kept.
     """
-    experts = increments.shape[1]
+    experts = table.shape[1] - FIRST_EXPERT
     for b in range(state.size):
         s = state[b]
         if s.done or s.pause:
@@ -181,16 +175,16 @@ def advance(
         fused = total = plain = 0.0  # eq. 3
         votes = 0
         for j in range(experts):
-            increment = increments[row, j]
+            increment = k[FIRST_EXPERT + j]
             if (s.silent >> j) & 1:
-                increment = np.nan if mask else k.substitute_rad
+                increment = np.nan if mask else k[SUBSTITUTE]
             if increment == increment:
                 fused += scores[b, j] * increment
                 total += scores[b, j]
                 plain += increment
                 votes += 1
         if votes == 0:
-            fused = k.substitute_rad
+            fused = k[SUBSTITUTE]
         elif shares:
             fused = fused / total if total > 0.0 else plain / votes
 
@@ -199,14 +193,14 @@ def advance(
         c, n = half_turn(fused)  # eq. 1: the chord points along the yaw in the middle of the step
         east = s.course_cos * c - s.course_sin * n
         north = s.course_sin * c + s.course_cos * n
-        x = s.x_m + k.distance_m * east
-        y = s.y_m + k.distance_m * north
+        x = s.x_m + k[DISTANCE] * east
+        y = s.y_m + k[DISTANCE] * north
 
-        error = fused - k.truth_rad
-        yaw_error = yaw - k.truth_yaw_rad
-        position_error = (x - k.truth_x_m) ** 2 + (y - k.truth_y_m) ** 2
-        rate = fused / k.dt_s
-        linear_error = k.linear_error_rad
+        error = fused - k[TRUTH]
+        yaw_error = yaw - k[TRUE_YAW]
+        position_error = (x - k[TRUE_X]) ** 2 + (y - k[TRUE_Y]) ** 2
+        rate = fused / k[DT]
+        linear_error = k[LINEAR_ERROR]
 
         s.yaw_rad, s.x_m, s.y_m = yaw, x, y
         s.course_cos = east * c - north * n
@@ -286,7 +280,6 @@ def play(
     out: Any,
     rules: Any,
     state: Any,
-    increments: Any,
     table: Any,
     history: Any,
     context: Any,
@@ -300,7 +293,7 @@ def play(
     scores = np.empty(actions.shape)
     if not score(actions.ravel(), r.scale, r.exponential, scores.ravel()):
         return -1
-    advance(scores, r.shares, r.mask, state, increments, table, history)
+    advance(scores, r.shares, r.mask, state, table, history)
     ended = judge(state, r.reward, r.sigma_rad, report)
     look(out, state, context, r.fused, r.rate_limit)
     return ended

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mixo_env.envs.stepping import STEP
+from mixo_env.envs.stepping import DISTANCE, DT, LINEAR_ERROR, SUBSTITUTE, TRUE_X, TRUE_Y, TRUE_YAW, TRUTH
 from mixo_env.errors import ConfigurationError, RecordingError, unknown
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.schema import TRACKS, VehicleConstants
@@ -77,26 +76,40 @@ def collect_votes(
 
 
 def tabulate_steps(
-    recordings: Recordings, steps: NDArray[np.intp], start: FloatArray, substitute_rad: FloatArray
-) -> NDArray[Any]:
-    """The STEP table ``(rows,)``; ``start`` holds x, y, yaw ``(scenes, 3)`` of every scene's first pose."""
+    recordings: Recordings, steps: NDArray[np.intp], start: FloatArray, votes: Votes, mask: bool
+) -> FloatArray:
+    """The table of steps, columns as in :mod:`mixo_env.envs.stepping`.
+
+    Args:
+        recordings: where everything comes from.
+        steps: ``(rows,)`` its rows that are steps.
+        start: ``(scenes, 3)`` x [m], y [m], yaw [rad] of every scene's first pose.
+        votes: of those rows.
+        mask: experts without an increment do not vote (otherwise the substitute votes in their place).
+
+    Raises:
+        RecordingError: for a step without duration or distance.
+    """
     lengths = [scene.rows - 1 for scene in recordings.scenes]
-    constants = [recordings.manifest.vehicles.get(scene.vehicle, VehicleConstants()) for scene in recordings.scenes]
-    table = np.zeros(len(steps), STEP)
-    table["substitute_rad"] = substitute_rad
-    table["dt_s"] = recordings["dt_s"][steps]
-    table["distance_m"] = recordings["distance_m"][steps] * np.repeat([c.wheel_scale for c in constants], lengths)
-    table["truth_rad"] = recordings["truth.yaw_increment_rad"][steps]
+    vehicles = [recordings.manifest.vehicles.get(scene.vehicle, VehicleConstants()) for scene in recordings.scenes]
     x, y, yaw = np.repeat(start, lengths, axis=0).T
-    table["truth_x_m"] = recordings["truth.x_m"][steps] - x
-    table["truth_y_m"] = recordings["truth.y_m"][steps] - y
-    table["truth_yaw_rad"] = recordings["truth.yaw_rad"][steps] - yaw
-    for name, wrong in (("dt_s", ~(table["dt_s"] > 0.0)), ("distance_m", ~np.isfinite(table["distance_m"]))):
+    columns = {
+        SUBSTITUTE: votes.substitute_rad,
+        DT: recordings["dt_s"][steps],
+        DISTANCE: recordings["distance_m"][steps] * np.repeat([v.wheel_scale for v in vehicles], lengths),
+        LINEAR_ERROR: np.zeros(len(steps)),
+        TRUTH: recordings["truth.yaw_increment_rad"][steps],
+        TRUE_YAW: recordings["truth.yaw_rad"][steps] - yaw,
+        TRUE_X: recordings["truth.x_m"][steps] - x,
+        TRUE_Y: recordings["truth.y_m"][steps] - y,
+    }
+    for name, wrong in (("dt_s", ~(columns[DT] > 0.0)), ("distance_m", ~np.isfinite(columns[DISTANCE]))):
         if wrong.any():
             row = int(np.argmax(wrong))
             scene = int(np.searchsorted(np.cumsum(lengths), row, side="right"))
             raise RecordingError(
-                f"{recordings.scenes[scene].name}: expected a usable {name} in every step, got {table[name][row]} in "
-                f"row {steps[row] - recordings.offsets[scene]}: record or import the scene anew"
+                f"{recordings.scenes[scene].name}: expected a usable {name} in every step, got "
+                f"{recordings[name][steps[row]]} in row {steps[row] - recordings.offsets[scene]}: record or import anew"
             )
-    return table
+    experts = np.where(votes.available | (not mask), votes.increments_rad, np.nan)
+    return np.column_stack([*(columns[c] for c in sorted(columns)), experts])

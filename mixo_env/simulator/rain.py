@@ -8,6 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from mixo_env.simulator.mesh import GROUND, SOLID
 from mixo_env.simulator.vehicles import VEHICLE_KINDS, VehicleState
 
 _FIELD = (1 << 21) - 1
@@ -43,7 +44,7 @@ def mirror_road(radiance, owner, depth, mark, rotation, position, lens, clouds, 
         x = 0
         while x < width:
             k = owner[row, x]
-            if k < 0 or mark[k, 1] == 0:
+            if k < 0 or mark[k, 1] != GROUND:  # what lies under vehicles mirrors only their dark undersides
                 x += 1
                 continue
             end = x + 1
@@ -83,7 +84,7 @@ def mirror_road(radiance, owner, depth, mark, rotation, position, lens, clouds, 
                 if column >= 0:
                     c = min(max(column + i - (x + end - 1) // 2, 0), width - 1)
                     seen_by = owner[line, c]
-                    if seen_by < 0 or mark[seen_by, 1] == 0:  # a smear upwards stands for the ripples
+                    if seen_by < 0 or mark[seen_by, 1] == SOLID:  # a smear upwards stands for the ripples
                         other = (radiance[line, c] >> 1 & _HALF) + (radiance[max(line - 3, 0), c] >> 1 & _HALF)
                 radiance[row, i] = _mixed(radiance[row, i], other, share)
             x = end

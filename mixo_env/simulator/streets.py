@@ -1,6 +1,7 @@
 """The street grid shared by the world, the drives and the traffic. Metres, map frame, right-hand traffic.
 
-Streets run along every line x = i * BLOCK_M and y = j * BLOCK_M for whole i, j with absolute value up to HALF_CITY_BLOCKS.
+Streets run along every line x = i * BLOCK_M and y = j * BLOCK_M for whole i, j from -HALF_CITY_BLOCKS to
++HALF_CITY_BLOCKS.
 """
 
 from __future__ import annotations
