@@ -20,7 +20,7 @@ types: .venv/installed
 unit: .venv/installed
 	$(BIN)/python -m pytest -n 2 --dist loadscope -m "not integration"
 
-integration: .venv/installed  ## needs minutes, other virtual environments or peers; absent peers are skipped
+integration: .venv/integrations  ## needs minutes, other virtual environments or peers; absent peers are skipped
 	$(BIN)/python -m pytest -m integration
 
 format: .venv/installed
@@ -30,6 +30,10 @@ format: .venv/installed
 .venv/installed: pyproject.toml constraints.txt
 	$(PYTHON) -m venv .venv
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
+	touch $@
+
+.venv/integrations: .venv/installed
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev,cluster,integrations]'
 	touch $@
 
 clean:

@@ -376,6 +376,13 @@ def test_no_step_after_the_end_without_a_reset(env_id: str) -> None:
             one.step(one.action_space.sample())
 
 
+@pytest.mark.parametrize("mode", [mode.name for mode in AutoresetMode])
+def test_no_step_before_the_first_reset(mode: str) -> None:
+    env = make_vec("MixoOdometry-v0", 2, autoreset_mode=mode)
+    with pytest.raises(ConfigurationError, match="reset"):
+        env.step(env.action_space.sample())
+
+
 @pytest.mark.parametrize("num_envs", [0, -1, 1.5, "many"])
 def test_bad_number_of_environments(num_envs: Any) -> None:
     with pytest.raises(ConfigurationError, match="num_envs"):

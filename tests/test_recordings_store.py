@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pyarrow as pa
@@ -201,3 +204,17 @@ def test_a_failed_write_leaves_the_old_file(tmp_path):
         fail()
     assert path.read_text() == "old"
     assert list(tmp_path.iterdir()) == [path]
+
+
+@pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="counts threads the Linux way")
+def test_reading_starts_no_threads(tmp_path):
+    """Arrow's threads abort a process that ends while they are still starting."""
+    save_recordings(synthetic_recordings(scenes=2), tmp_path)
+    code = (
+        "import os, sys, pyarrow.parquet\n"
+        "from mixo_env.recordings.store import load_recordings\n"
+        "before = len(os.listdir('/proc/self/task'))\n"
+        "load_recordings(sys.argv[1])\n"
+        "assert len(os.listdir('/proc/self/task')) == before"
+    )
+    subprocess.run([sys.executable, "-c", code, str(tmp_path)], check=True)

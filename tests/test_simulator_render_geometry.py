@@ -10,7 +10,7 @@ import pytest
 from mixo_env.simulator.mesh import CUT_OUT, TRIANGLE, TWO_SIDED, Patch, quad
 from mixo_env.simulator.render import CameraPose, Renderer
 from mixo_env.simulator.textures import rgba
-from tests.tiny_world import FLAT, MOUNTS, camera, cast, plain_texture, pose, surface, world_of
+from tests.tiny_world import CHANNELS, FLAT, camera, cast, plain_texture, pose, surface, world_of
 
 WHITE, RED, BLUE = plain_texture(255, 255, 255), plain_texture(255, 0, 0), plain_texture(0, 0, 255)
 
@@ -31,7 +31,7 @@ def picture(world, calibration, at, weather=FLAT):
     return Renderer(world, weather).render(calibration, at, at, gain=1.0).image
 
 
-@pytest.mark.parametrize("channel", MOUNTS)
+@pytest.mark.parametrize("channel", CHANNELS)
 @pytest.mark.parametrize("slant", [0.0, 0.9])
 def test_wall_covers_exactly_the_pixels_whose_rays_meet_it(channel: str, slant: float) -> None:
     calibration = camera(channel)

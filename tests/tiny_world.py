@@ -8,10 +8,11 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from mixo_env.geometry import rotation_from_quaternion_wxyz, rotation_from_yaw
+from mixo_env.geometry import rotation_from_yaw
 from mixo_env.nuscenes.scene import CameraCalibration
 from mixo_env.simulator.mesh import Patch, Surface, mesh_of, packed
 from mixo_env.simulator.render import CameraPose
+from mixo_env.simulator.rig import nominal_calibration
 from mixo_env.simulator.textures import Atlas, Bytes, rgba
 from mixo_env.simulator.weather import Weather
 from mixo_env.simulator.world import World, packed_detail
@@ -37,26 +38,12 @@ FLAT = Weather(
 )
 """Even light, black sky, no noise: a pixel is bright exactly where a white patch is."""
 
-MOUNTS = {
-    "CAM_FRONT": ((1.70, 0.016, 1.511), (0.4998, -0.5030, 0.4998, -0.4974), 1266.4, 816.3, 491.5),
-    "CAM_FRONT_LEFT": ((1.524, 0.495, 1.509), (0.6757, -0.6736, 0.2121, -0.2112), 1272.6, 826.6, 479.8),
-    "CAM_BACK_RIGHT": ((1.015, -0.481, 1.562), (0.1228, -0.1324, -0.7004, 0.6905), 1259.5, 807.3, 501.2),
-    "CAM_BACK": ((0.028, 0.003, 1.579), (0.5038, -0.4974, -0.4942, 0.5045), 809.2, 829.2, 481.8),
-}
+CHANNELS = ("CAM_FRONT", "CAM_FRONT_LEFT", "CAM_BACK_RIGHT", "CAM_BACK")
 
 
 def camera(channel: str, scale: float = 0.2) -> CameraCalibration:
     """A camera of the rig at ``scale`` of 1600 x 900."""
-    mount, quaternion, focal, cx, cy = MOUNTS[channel]
-    intrinsic = np.array(
-        [
-            [scale * focal, 0.0, scale * (cx + 0.5) - 0.5],
-            [0.0, scale * focal, scale * (cy + 0.5) - 0.5],
-            [0.0, 0.0, 1.0],
-        ]
-    )
-    rotation = rotation_from_quaternion_wxyz(quaternion)
-    return CameraCalibration(channel, intrinsic, rotation, np.array(mount), int(1600 * scale), int(900 * scale))
+    return nominal_calibration(channel, round(1600 * scale), round(900 * scale))
 
 
 def pose(calibration: CameraCalibration, x_m: float, y_m: float, yaw_rad: float) -> CameraPose:

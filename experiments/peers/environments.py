@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 EVO = "evo==1.38.1"
+DEVKIT = "nuscenes-devkit==1.2.0"
 
 
 def peer_python(requirement: str) -> Path | None:

@@ -47,7 +47,9 @@ def write_minari(
         import minari  # pyright: ignore[reportMissingImports]
         from minari.data_collector import EpisodeBuffer  # pyright: ignore[reportMissingImports]
     except ImportError as error:
-        raise ConfigurationError(f"Minari export: {error.name} is missing: pip install 'minari[hdf5]'") from None
+        raise ConfigurationError(
+            f"Minari export: {error.name} is missing: pip install 'mixo-env[integrations]'"
+        ) from None
     if env.spec is None:
         raise ConfigurationError("Minari export: expected an environment made by gymnasium.make, got one without spec")
     if episodes is None:

@@ -221,7 +221,7 @@ class MixoOdometryVectorEnv(VectorEnv[Any, Any, Any]):
         self.single_action_space = self.session.rule.space
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
         self.action_space = batch_space(self.single_action_space, self.num_envs)
-        self._ended = np.ones(self.num_envs, np.bool_)
+        self._ended, self._any_ended, self._begun = np.ones(self.num_envs, np.bool_), True, False
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Start all scenes, or with ``options={"reset_mask": (num_envs,) bool}`` some of them.
@@ -234,6 +234,8 @@ class MixoOdometryVectorEnv(VectorEnv[Any, Any, Any]):
         mask = self._reset_mask(options)
         self.session.begin(np.flatnonzero(mask), self.np_random, options)
         self._ended &= ~mask
+        self._any_ended = bool(self._ended.any())
+        self._begun = True
         return self.session.observe(), self._reset_info(mask) | self._image_info(mask)
 
     def step(
@@ -243,9 +245,9 @@ class MixoOdometryVectorEnv(VectorEnv[Any, Any, Any]):
         session, mode, before = self.session, self.autoreset_mode, self._ended
         info: dict[str, Any] = {}
         played = np.ones(self.num_envs, np.bool_)
-        if before.any():
-            if mode is AutoresetMode.DISABLED:
-                raise ConfigurationError(f"{before.sum()} scenes have ended: reset them with options reset_mask first")
+        if self._any_ended:
+            if mode is not AutoresetMode.NEXT_STEP or not self._begun:
+                raise ConfigurationError(f"{before.sum()} scenes have ended or never begun: reset them first")
             session.begin(np.flatnonzero(before), self.np_random, pause=True)  # NEXT_STEP: this step is their reset
             info, played = self._reset_info(before), ~before
         observation, report, ended = session.play(session.rule.read(actions, self.num_envs))
@@ -260,11 +262,11 @@ class MixoOdometryVectorEnv(VectorEnv[Any, Any, Any]):
             observation = session.observe()
             info |= self._reset_info(truncated) | only(told, ~truncated)
         else:
-            if played.any():
+            if not self._any_ended or played.any():
                 info |= masked(told, played)
             if ended:
                 info |= self._scores(truncated)
-            self._ended = truncated.copy()
+            self._ended, self._any_ended = truncated.copy(), ended > 0
         if session.images:
             info |= self._image_info(np.ones(self.num_envs, np.bool_))
         return observation, reward, np.zeros(self.num_envs, np.bool_), truncated, info

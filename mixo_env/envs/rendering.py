@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mixo_env.envs.budget import BudgetReplay
 from mixo_env.envs.session import Session
 from mixo_env.experts.expert import State
 
@@ -141,14 +142,15 @@ def draw_tiles(canvas: Image, session: Session, entry: int) -> None:
     columns = session.recordings.rows(scene)
     for c, camera in enumerate(replay.cameras[:4]):
         x, y = left + (c % 2) * width, top + (c // 2) * (height + 6)
-        colour = STATES[int(columns[f"{camera}.state"][row])]
+        awake = not isinstance(replay, BudgetReplay) or replay.awake[entry, c]
+        colour = STATES[int(columns[f"{camera}.state"][row]) if awake else State.NO_IMAGE]
         if session.images:
             picture = session.images.read(paths[camera], (height, width - 6, 3))
-            canvas[y : y + height, x : x + width - 6] = picture
+            canvas[y : y + height, x : x + width - 6] = picture if awake else picture // 4 + 160
             cv2.rectangle(canvas, (x, y), (x + 92, y + 16), WHITE, -1)
         else:
-            matches = columns[f"{camera}.matches"][row]
-            write(canvas, f"{np.nan_to_num(matches):.0f} matches", (x + 10, y + 60), 0.6)
+            matches = np.nan_to_num(columns[f"{camera}.matches"][row])
+            write(canvas, f"{matches:.0f} matches" if awake else "asleep", (x + 10, y + 60), 0.6)
         write(canvas, camera[4:].lower().replace("_", " "), (x + 6, y + 12))
         cv2.rectangle(canvas, (x, y), (x + width - 7, y + height - 1), colour, 2)
 

@@ -90,7 +90,8 @@ def read_columns(data: bytes) -> tuple[dict[str, Column], list[int], dict[str, s
     try:
         with pq.ParquetFile(pa.BufferReader(data)) as file:
             rows = [file.metadata.row_group(i).num_rows for i in range(file.metadata.num_row_groups)]
-            table = file.read()
+            # A process that ends while Arrow's threads are still starting is aborted now and then.
+            table = file.read(use_threads=False)
         metadata = {key.decode(): value.decode() for key, value in (table.schema.metadata or {}).items()}
         columns = {name: np.array(table.column(name).to_numpy()) for name in table.column_names}
     except Exception as error:  # the reader raises almost anything, depending on which byte is wrong

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -65,7 +66,7 @@ class _Frame:
 
     def points(self, points: NDArray[np.float64]) -> NDArray[np.float64]:
         """``(n, 2)`` points of the side's frame in the map frame."""
-        c, s = np.cos(self.yaw_rad), np.sin(self.yaw_rad)
+        c, s = math.cos(self.yaw_rad), math.sin(self.yaw_rad)
         return points @ np.array([[c, s], [-s, c]]) + (self.x_m, self.y_m)
 
     def rectangle(self, x: tuple[float, float], y: tuple[float, float]) -> NDArray[np.float64]:

@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mixo_env.geometry import rotation_from_yaw
 from mixo_env.simulator.textures import DETAIL_SIDE
 
 TRIANGLE, TWO_SIDED, CUT_OUT = 1, 2, 4
@@ -154,7 +153,8 @@ def joined(meshes: Sequence[Mesh]) -> Mesh:
 def placed(mesh: Mesh, x_m: float, y_m: float, yaw_rad: float, z_m: float = 0.0, scale: float = 1.0) -> Mesh:
     """The mesh scaled, turned by ``yaw_rad`` about z and moved to ``(x_m, y_m, z_m)``; textures stay glued to it."""
     out = mesh.copy()
-    turn = scale * rotation_from_yaw(yaw_rad).T
+    c, s = scale * math.cos(yaw_rad), scale * math.sin(yaw_rad)
+    turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, scale]])
     out["origin"] = mesh["origin"] @ turn + (x_m, y_m, z_m)
     out["edge_u"] = mesh["edge_u"] @ turn
     out["edge_v"] = mesh["edge_v"] @ turn

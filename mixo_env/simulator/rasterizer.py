@@ -25,6 +25,7 @@ SHELLS_M = (15.0, 30.0, 60.0)
 
 _TILE = 8
 _EMPTY = 1e-14
+_SMALL_CARD_PX = 8.0  # every second leaf card smaller than this is left out
 _OPAQUE = np.uint64(110 << 48)  # coverage, the highest lane, above 110 of 255
 
 
@@ -201,6 +202,8 @@ def _draw(
             mx, my, mz = dx + 0.5 * (u0 + v0), dy + 0.5 * (u1 + v1), dz + 0.5 * (u2 + v2)
             z = rotation[2, 0] * mx + rotation[2, 1] * my + rotation[2, 2] * mz
             if z < NEAR_M - radius or z > far + radius or radius * fx < 0.4 * z:
+                continue
+            if shape & CUT_OUT != 0 and q % 2 == 1 and radius * fx < _SMALL_CARD_PX * z:
                 continue
             x = rotation[0, 0] * mx + rotation[0, 1] * my + rotation[0, 2] * mz
             if x < -z * cx / fx - radius * slant_x or x > z * (width - cx) / fx + radius * slant_x:

@@ -148,7 +148,7 @@ class Renderer:
         patches = (self._fleet.placed(near), world.static)
         buffers.draw_patches(patches, rotation, position, lens, FAR_M, world.texels, world.table)
         lamps, lamp_origin = self._no_lamps
-        if self.weather.lamps > 0.0:
+        if self.weather.lamps > self.weather.ambient:
             lamps, lamp_origin = light_window(world.lamp_light, EXTENT_M, position, near)
         to_ego = np.column_stack([calibration.rotation_ego_from_camera, calibration.translation_m])
         shade(
@@ -180,7 +180,7 @@ class Renderer:
             add_spray(radiance, buffers.depth, puffs, lens, world.sky, air)
         wanted = min(self.weather.exposure_target / max(_mean_radiance(radiance), 1e-6), self.weather.largest_gain)
         used = wanted if gain is None else gain
-        if self.weather.lamps >= 0.5:
+        if self.weather.lamps > self.weather.ambient:
             add_glare(radiance, RADIANCE_UNIT / used, GLARE)
         spread_motion(buffers.depth, buffers.owner, flow)
         image = np.empty((height, width, 3), np.uint8)

@@ -79,17 +79,13 @@ def grain(detail, start, log, u, v):
 
 
 @njit(cache=True, error_model="numpy")
-def sun_on_ground(sunlight, u, v):
-    """Picture of the sunlight on the ground at (u, v) in 1/65536 texels; 0..255 * 65536."""
+def bytes_at(image, mask, u, v):
+    """One channel of a square repeating image of bytes at (u, v) in 1/65536 texels; 0..255 * 65536."""
     a, b = (u >> 8) & 255, (v >> 8) & 255
-    u0, v0 = (u >> 16) & PICTURE_MASK, (v >> 16) & PICTURE_MASK
-    u1, v1 = (u0 + 1) & PICTURE_MASK, (v0 + 1) & PICTURE_MASK
-    upper = (
-        np.int64(sunlight[np.uintp(v0), np.uintp(u0)]) * (256 - a) + np.int64(sunlight[np.uintp(v0), np.uintp(u1)]) * a
-    )
-    lower = (
-        np.int64(sunlight[np.uintp(v1), np.uintp(u0)]) * (256 - a) + np.int64(sunlight[np.uintp(v1), np.uintp(u1)]) * a
-    )
+    u0, v0 = (u >> 16) & mask, (v >> 16) & mask
+    u1, v1 = (u0 + 1) & mask, (v0 + 1) & mask
+    upper = np.int64(image[np.uintp(v0), np.uintp(u0)]) * (256 - a) + np.int64(image[np.uintp(v0), np.uintp(u1)]) * a
+    lower = np.int64(image[np.uintp(v1), np.uintp(u0)]) * (256 - a) + np.int64(image[np.uintp(v1), np.uintp(u1)]) * a
     return upper * (256 - b) + lower * b
 
 

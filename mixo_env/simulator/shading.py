@@ -9,7 +9,7 @@ once.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+from numba import float32, njit
 
 from mixo_env.simulator.mesh import CUT_OUT, GROUND, SHADE, SOLID
 from mixo_env.simulator.sampling import (
@@ -17,12 +17,11 @@ from mixo_env.simulator.sampling import (
     HALF_EXTENT_M,
     PICTURE_MASK,
     above_shadow,
-    bilinear1,
     bilinear4,
+    bytes_at,
     grain,
     lamp_light,
     level,
-    sun_on_ground,
 )
 from mixo_env.simulator.shadows import PICTURE_TEXELS_PER_M
 from mixo_env.simulator.textures import DETAIL_SIDE
@@ -38,13 +37,11 @@ RADIANCE_TOP = (1 << 18) - 1
 
 _INVERSE = np.array([0.0] + [1.0 / i for i in range(1, SPAN + 1)])
 _POWER = np.array([2.0**-i for i in range(12)])
-_U16, _U32, _U48 = np.uint64(16), np.uint64(32), np.uint64(48)
-_LANE = np.uint64(0xFFFF)
+_U48 = np.uint64(48)
 _ONE = 65536.0  # texel coordinates and factors in fixed point
 _HALF = 32768
-_LIGHT_BITS, _TINT_BITS = 20, 8
-_GRAIN_GAIN = _ONE * _ONE / (255.0 * 256.0)
-_SUN_UNIT = 1.0 / (255.0 * _ONE)
+_GRAIN_UNIT = 1.0 / (255.0 * 256.0)
+_BYTE_UNIT = 1.0 / (255.0 * _ONE)
 _DETAIL_LOG = DETAIL_SIDE.bit_length() - 1
 _LAST_DETAIL = 5
 _EVEN_SPAN_TEXELS = 6.0
@@ -52,35 +49,92 @@ _OFF_WALL_M = 0.8  # shadows are looked up this far off a surface, or every wall
 
 
 @njit(cache=True, error_model="numpy")
-def _sky_run(row, begin, end, camera, light, sky, turn, out, flow):
-    """Clouds on a plane between clear sky and haze; they move with the camera's rotation only."""
+def _sky_point(x, row, camera, turn):
+    """One pixel of the sky.
+
+    Returns:
+        Texel on the plane of clouds (2), how high it looks (0 at the horizon, 1 overhead), and its motion (2).
+    """
     rotation, lens = camera[0], camera[2]
-    dy = (row - lens[3]) / lens[1]
-    sx, sy, sz = rotation[0, 0] / lens[0], rotation[0, 1] / lens[0], rotation[0, 2] / lens[0]
-    d0 = rotation[2, 0] + rotation[1, 0] * dy - sx * lens[2]
-    d1 = rotation[2, 1] + rotation[1, 1] * dy - sy * lens[2]
-    d2 = rotation[2, 2] + rotation[1, 2] * dy - sz * lens[2]
-    for x in range(begin, end):
-        wx, wy, wz = d0 + sx * x, d1 + sy * x, d2 + sz * x
-        norm = 1.0 / np.sqrt(wx * wx + wy * wy + wz * wz)
-        up = max(wz * norm, 0.0)
-        scale = 60.0 * norm / (up + 0.12)
-        cloud = light[9] * bilinear1(sky, wx * scale, wy * scale, 511) * (1.0 / 255.0)
-        high = min(2.0 * up, 1.0)
-        word = 0
-        for c in range(3):
-            clear = light[3 + c] + (light[6 + c] - light[3 + c]) * high
-            word |= min(int(clear + (1.25 * light[3] - clear) * cloud), RADIANCE_TOP) << 21 * c
-        out[row, x] = word
-        dx = (x - lens[2]) / lens[0]
-        z = 1.0 / (turn[6] * dx + turn[7] * dy + turn[8])
-        flow[row, x, 0] = 2.0 * ((turn[0] * dx + turn[1] * dy + turn[2]) * z * lens[0] + lens[2] - x)
-        flow[row, x, 1] = 2.0 * ((turn[3] * dx + turn[4] * dy + turn[5]) * z * lens[1] + lens[3] - row)
+    dx, dy = (x - lens[2]) / lens[0], (row - lens[3]) / lens[1]
+    wx = rotation[0, 0] * dx + rotation[1, 0] * dy + rotation[2, 0]
+    wy = rotation[0, 1] * dx + rotation[1, 1] * dy + rotation[2, 1]
+    wz = rotation[0, 2] * dx + rotation[1, 2] * dy + rotation[2, 2]
+    norm = 1.0 / np.sqrt(wx * wx + wy * wy + wz * wz)
+    up = max(wz * norm, 0.0)
+    scale = 60.0 * norm / (up + 0.12)
+    z = 1.0 / (turn[6] * dx + turn[7] * dy + turn[8])
+    u = (turn[0] * dx + turn[1] * dy + turn[2]) * z * lens[0] + lens[2]
+    v = (turn[3] * dx + turn[4] * dy + turn[5]) * z * lens[1] + lens[3]
+    return wx * scale, wy * scale, min(2.0 * up, 1.0), 2.0 * (u - x), 2.0 * (v - row)
 
 
 @njit(cache=True, error_model="numpy")
-def _shade_run(row, begin, stop, k, seen, camera, light, textures, daylight, night, motion, out, flow):
+def _sky_run(row, begin, stop, camera, light, sky, turn, out, flow):
+    """Clouds on a plane between clear sky and haze; they move with the camera's rotation only."""
+    x = begin
+    while x < stop:
+        end = min(x + SPAN, stop)
+        inverse = _INVERSE[end - 1 - x]
+        u, v, high, fu, fv = _sky_point(x, row, camera, turn)
+        eu, ev, ehigh, efu, efv = _sky_point(end - 1, row, camera, turn)
+        gu, gv = int(u * _ONE), int(v * _ONE)
+        du, dv = int((eu - u) * inverse * _ONE), int((ev - v) * inverse * _ONE)
+        ehigh, efu, efv = (ehigh - high) * inverse, (efu - fu) * inverse, (efv - fv) * inverse
+        for column in range(x, end):
+            i = column - x
+            cloud = light[9] * bytes_at(sky, 511, gu + i * du, gv + i * dv) * _BYTE_UNIT
+            share = (high + ehigh * i) * (1.0 - cloud)
+            white = light[3] * 1.25 * cloud
+            keep = 1.0 - cloud - share
+            r = int(light[3] * keep + light[6] * share + white)
+            g = int(light[4] * keep + light[7] * share + white)
+            b = int(light[5] * keep + light[8] * share + white)
+            out[row, column] = min(r, RADIANCE_TOP) | min(g, RADIANCE_TOP) << 21 | min(b, RADIANCE_TOP) << 42
+            flow[row, column, 0] = fu + efu * i
+            flow[row, column, 1] = fv + efv * i
+        x = end
+
+
+@njit(cache=True, error_model="numpy")
+def _fetch(texels, place, steps, taps, out):
+    """Texture along a span: the sum of ``taps`` samples for every pixel."""
+    start, log_w, mask_u, mask_v = place
+    u, v, step_u, step_v, tap_u, tap_v = steps
+    for i in range(out.shape[0]):
+        out[i] = bilinear4(texels, start, log_w, mask_u, mask_v, u + i * step_u, v + i * step_v)
+    for _ in range(1, taps):
+        u += tap_u
+        v += tap_v
+        for i in range(out.shape[0]):
+            out[i] += bilinear4(texels, start, log_w, mask_u, mask_v, u + i * step_u, v + i * step_v)
+
+
+@njit(cache=True, error_model="numpy")
+def _add_grain(detail, start, log, u, v, step_u, step_v, base, gain, specks, factors):
+    """Multiply ``factors`` by the square of the fine grain along a span."""
+    for i in range(factors.shape[0]):
+        specks[i] = grain(detail, start, log, u + i * step_u, v + i * step_v)
+    for i in range(factors.shape[0]):
+        speck = base + float32(specks[i]) * gain
+        factors[i] *= speck * speck
+
+
+@njit(cache=True, error_model="numpy")
+def _colour(lanes, factors, tint0, tint1, tint2, haze0, haze1, haze2, out):
+    """Packed radiance of a span: squares of the texture's lanes times tint and light, plus haze."""
+    top = float32(RADIANCE_TOP)
+    for i in range(out.shape[0]):
+        word, factor = np.int64(lanes[i]), factors[i]
+        r, g, b = float32(word & 0xFFFF), float32((word >> 16) & 0xFFFF), float32((word >> 32) & 0xFFFF)
+        r, g, b = haze0 + r * r * (tint0 * factor), haze1 + g * g * (tint1 * factor), haze2 + b * b * (tint2 * factor)
+        out[i] = np.int64(min(r, top)) | np.int64(min(g, top)) << 21 | np.int64(min(b, top)) << 42
+
+
+@njit(cache=True, error_model="numpy")
+def _shade_run(row, begin, stop, k, seen, camera, light, textures, daylight, night, motion, memory, out, flow):
     """Shade the pixels ``begin`` to ``stop`` of a row, all of slot ``k``; see :func:`shade`."""
+    lanes, scratch, specks = memory
     _, plane, style, mark = seen
     rotation, position, lens, far = camera
     texels, table, detail, detail_start, _, ground_scale = textures
@@ -104,9 +158,9 @@ def _shade_run(row, begin, stop, k, seen, camera, light, textures, daylight, nig
     o0, o1, o2 = _OFF_WALL_M * n0, _OFF_WALL_M * n1, _OFF_WALL_M * n2
     material, number = mark[k, 1], mark[k, 2]
     on_ground = material == GROUND
-    tint0 = int(style[k, 0] * light[12] * (1 << _TINT_BITS))
-    tint1 = int(style[k, 1] * light[13] * (1 << _TINT_BITS))
-    tint2 = int(style[k, 2] * light[14] * (1 << _TINT_BITS))
+    tint0 = float32(style[k, 0] * light[12])
+    tint1 = float32(style[k, 1] * light[13])
+    tint2 = float32(style[k, 2] * light[14])
     emission = 0.0 if mark[k, 0] & CUT_OUT != 0 else 4.0 * glow * style[k, 3]
     if material == SHADE:
         facing = 0.0
@@ -159,12 +213,12 @@ def _shade_run(row, begin, stop, k, seen, camera, light, textures, daylight, nig
         air = 1.0 / (1.0 + z * density * (1.0 + 0.5 * z * density))
         fade = max(z / far * 4.0 - 3.0, 0.0)
         air *= 1.0 - fade * fade
-        haze0, haze1 = int(light[3] * (1.0 - air)), int(light[4] * (1.0 - air))
-        haze2 = int(light[5] * (1.0 - air))
+        haze0, haze1 = float32(light[3] * (1.0 - air)), float32(light[4] * (1.0 - air))
+        haze2 = float32(light[5] * (1.0 - air))
         steady = level_light
         q0, q1, q2 = d0 + sx * x, d1 + sy * x, d2 + sz * x
         p0, p1, p2 = position[0] + q0 * iz + o0, position[1] + q1 * iz + o1, position[2] + q2 * iz + o2
-        if glow > 0.0:
+        if glow > light[0]:  # by day lamps shine, but light nothing
             rx = (0.5 * (x + last) - cx) / fx * z
             steady += glow * lamp_light(lamps, lamp_origin[0], lamp_origin[1], beam, p0, p1, p2, n2, rx, dy * z, z)
         sunny, varied = 1.0, False
@@ -201,39 +255,37 @@ def _shade_run(row, begin, stop, k, seen, camera, light, textures, daylight, nig
         grain_step_u, grain_step_v = int(du * ratio_u * small), int(dv * ratio_v * small)
         fine_start, fine_log = detail_start[fine], _DETAIL_LOG - fine
         scale = share * (1.0 / 255.0)
-        unit = scale * scale * air * (1 << _LIGHT_BITS)
-        grain_gain, grain_base = int(strength * _GRAIN_GAIN), int((1.0 - 0.5 * strength) * _ONE)
-        plain = int(bright * unit)
-        for column in range(x, end):
-            lanes = bilinear4(texels, start, log_w, mask_u, mask_v, tu, tv)
-            if taps > 1:  # written out: as a loop the compiler would gather four samples where two are wanted
-                lanes += bilinear4(texels, start, log_w, mask_u, mask_v, tu + tap_u, tv + tap_v)
-                if taps > 2:
-                    lanes += bilinear4(texels, start, log_w, mask_u, mask_v, tu + 2 * tap_u, tv + 2 * tap_v)
-            tu += step_u
-            tv += step_v
-            factor = plain
-            if varied or emission > 0.0:
+        unit = scale * scale * air
+        grain_gain, grain_base = float32(strength * _GRAIN_UNIT), float32(1.0 - 0.5 * strength)
+        # Each step is a loop of its own over the span: the arithmetic of the last two then runs in SIMD.
+        colours, factors = lanes[: end - x], scratch[: end - x]
+        _fetch(texels, (start, log_w, mask_u, mask_v), (tu, tv, step_u, step_v, tap_u, tap_v), taps, colours)
+        if varied or emission > 0.0:
+            for i in range(end - x):
                 if varied:
                     if on_ground:
-                        sunny = sun_on_ground(sunlight, g0, g1) * _SUN_UNIT
-                        g0 += ge0
-                        g1 += ge1
+                        sunny = bytes_at(sunlight, PICTURE_MASK, g0 + i * ge0, g1 + i * ge1) * _BYTE_UNIT
                     else:
-                        i = column - x
                         sunny = above_shadow(field, p0 + e0 * i, p1 + e1 * i, p2 + e2 * i)
-                emitted = emission * np.int64(lanes >> _U48) * scale
-                factor = int((steady + facing * sunny + emitted) * unit)
-            if fine < _LAST_DETAIL:
-                speck = grain_base + ((grain(detail, fine_start, fine_log, gu, gv) * grain_gain) >> 16)
-                factor = (factor * ((speck * speck) >> 16)) >> 16
-                gu += grain_step_u
-                gv += grain_step_v
-            r, g, b = np.int64(lanes & _LANE), np.int64((lanes >> _U16) & _LANE), np.int64((lanes >> _U32) & _LANE)
-            r = haze0 + ((r * r * tint0 * factor) >> (_LIGHT_BITS + _TINT_BITS))
-            g = haze1 + ((g * g * tint1 * factor) >> (_LIGHT_BITS + _TINT_BITS))
-            b = haze2 + ((b * b * tint2 * factor) >> (_LIGHT_BITS + _TINT_BITS))
-            out[row, column] = min(r, RADIANCE_TOP) | min(g, RADIANCE_TOP) << 21 | min(b, RADIANCE_TOP) << 42
+                emitted = emission * np.int64(colours[i] >> _U48) * scale
+                factors[i] = (steady + facing * sunny + emitted) * unit
+        else:
+            factors[:] = bright * unit
+        if fine < _LAST_DETAIL:
+            _add_grain(
+                detail,
+                fine_start,
+                fine_log,
+                gu,
+                gv,
+                grain_step_u,
+                grain_step_v,
+                grain_base,
+                grain_gain,
+                specks,
+                factors,
+            )
+        _colour(colours, factors, tint0, tint1, tint2, haze0, haze1, haze2, out[row, x:end])
 
         back = 2.0 / max(mz0 + mz1 * x, 1e-4)
         mu, mv = (mx0 + mx1 * x) * back * fx + 2.0 * (cx - x), (my0 + my1 * x) * back * fy + 2.0 * (cy - row)
@@ -268,6 +320,7 @@ def shade(seen, camera, light, textures, daylight, night, motion, out, flow):
         flow: ``(h, w, 2)`` float32 pixels.
     """
     owner = seen[0]
+    memory = np.empty(SPAN, np.uint64), np.empty(SPAN, np.float32), np.empty(SPAN, np.int64)
     height, width = owner.shape
     for row in range(height):
         x = 0
@@ -279,5 +332,5 @@ def shade(seen, camera, light, textures, daylight, night, motion, out, flow):
             if k < 0:
                 _sky_run(row, x, end, camera, light, textures[4], motion[0], out, flow)
             else:
-                _shade_run(row, x, end, k, seen, camera, light, textures, daylight, night, motion, out, flow)
+                _shade_run(row, x, end, k, seen, camera, light, textures, daylight, night, motion, memory, out, flow)
             x = end

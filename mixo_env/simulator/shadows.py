@@ -52,9 +52,10 @@ class Shadows:
     def crown(self, x_m: float, y_m: float, z_m: float, radius_m: float, rng: np.random.Generator) -> None:
         """Dappled shadow of a tree."""
         centres = (x_m, y_m) + self._shift * z_m + rng.normal(0.0, 0.5 * radius_m, (26, 2))
-        for (x, y), radius in zip(centres, rng.uniform(0.2, 0.5, 26), strict=True):
-            at = np.round(((np.array([x, y]) + 0.5 * EXTENT_M) * PICTURE_TEXELS_PER_M - 0.5) * 16).astype(int).tolist()
-            cv2.circle(self._picture, at, int(radius * PICTURE_TEXELS_PER_M * 16), 0, -1, cv2.LINE_AA, 4)
+        texels = np.round(((centres + 0.5 * EXTENT_M) * PICTURE_TEXELS_PER_M - 0.5) * 16).astype(int).tolist()
+        radii = (rng.uniform(0.2, 0.5, 26) * PICTURE_TEXELS_PER_M * 16).astype(int).tolist()
+        for texel, radius in zip(texels, radii, strict=True):
+            cv2.circle(self._picture, texel, radius, 0, -1, cv2.LINE_AA, 4)
 
     def picture(self) -> NDArray[np.uint8]:
         """Sunlight on the ground, 0..255, ``(side, side)`` indexed [y, x] from the south-west corner."""

@@ -7,6 +7,8 @@ night on all others.
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -51,14 +53,18 @@ WORDS = [
 ]
 
 
-def spectral_noise(height: int, width: int, exponent: float, rng: np.random.Generator, lowest: float = 1.0) -> Floats:
-    """Seamless ``(height, width)`` noise, amplitude 1/f^exponent above ``lowest`` cycles, zero mean, unit deviation."""
+@lru_cache(maxsize=16)
+def _amplitude(height: int, width: int, exponent: float, lowest: float) -> NDArray[np.float32]:
     rows = np.fft.fftfreq(height)[:, None] * height
     columns = np.fft.rfftfreq(width)[None, :] * width
     frequency = np.hypot(rows, columns)
-    amplitude = np.where(frequency >= lowest, np.maximum(frequency, 1.0) ** -exponent, 0.0)
-    shape = amplitude.shape
-    waves = amplitude * (rng.standard_normal(shape) + 1j * rng.standard_normal(shape))
+    return np.where(frequency >= lowest, np.maximum(frequency, 1.0) ** -exponent, 0.0).astype(np.float32)
+
+
+def spectral_noise(height: int, width: int, exponent: float, rng: np.random.Generator, lowest: float = 1.0) -> Floats:
+    """Seamless ``(height, width)`` noise, amplitude 1/f^exponent above ``lowest`` cycles, zero mean, unit deviation."""
+    amplitude = _amplitude(height, width, exponent, lowest)
+    waves = amplitude * rng.standard_normal((*amplitude.shape, 2), np.float32).view(np.complex64)[..., 0]
     noise = np.fft.irfft2(waves, s=(height, width))
     return ((noise - noise.mean()) / (noise.std() + 1e-9)).astype(np.float32)
 

@@ -1,0 +1,41 @@
+"""The scripts around the environments, run as a user runs them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from experiments.budget import BudgetStudy
+from experiments.episode_gif import EpisodeGif
+from mixo_env.recordings.store import save_recordings
+from tests.synthetic import synthetic_recordings
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("recordings")
+    save_recordings(synthetic_recordings(scenes=4, steps=30), path)
+    return path
+
+
+def test_budget_study(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    study = BudgetStudy(folder, out=tmp_path / "budget.png", ppo_steps=0)
+    assert study.run() == 0
+    lines = {line[22:44].strip(): line.split()[-3:] for line in capsys.readouterr().out.splitlines()[2:-1]}
+    cost = {name: float(values[0]) for name, values in lines.items()}
+    assert cost["no camera"] == 0.0
+    assert 3 * cost["CAM_FRONT"] < cost["all cameras"] <= 80.0
+    assert cost["best 2 above 5.7 deg/s"] < cost["best 2 above 0.6 deg/s"] < cost["best 2"]
+    assert (tmp_path / "budget.png").stat().st_size > 10_000
+
+
+def test_episode_gif(folder: Path, tmp_path: Path) -> None:
+    from PIL import Image
+
+    out = tmp_path / "episode.gif"
+    script = EpisodeGif(out, recordings=folder, scene="scene-2004", policy="LINEAR", every=10, width=320)
+    assert script.run() == 0
+    with Image.open(out) as picture:
+        assert picture.size == (320, 180)
+        assert 3 <= picture.n_frames <= 5  # type: ignore[attr-defined]
