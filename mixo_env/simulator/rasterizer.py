@@ -20,7 +20,7 @@ from mixo_env.simulator.mesh import CUT_OUT, TRIANGLE, TWO_SIDED, PatchSet
 NEAR_M = 0.2
 """Nothing nearer to the camera plane is drawn."""
 
-SHELLS_M = (15.0, 30.0, 60.0)
+SHELLS_M = (20.0, 50.0)
 """Distances at which hidden groups are looked for again."""
 
 _TILE = 8

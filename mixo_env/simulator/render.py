@@ -197,7 +197,7 @@ class Renderer:
             self._sizes[height, width] = (
                 DepthBuffers(height, width),
                 np.empty((height, width), np.int64),
-                np.empty((height, width, 2), np.float32),
+                np.empty((2, height, width), np.float32),
                 ((1.0 + 0.22 * squared) ** -2).astype(np.float32),
             )
         return self._sizes[height, width]

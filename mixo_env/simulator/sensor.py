@@ -26,7 +26,7 @@ def spread_motion(depth, owner, flow):
     Args:
         depth: ``(h, w)`` float32 1/z.
         owner: ``(h, w)`` number of the surface.
-        flow: ``(h, w, 2)`` float32, changed in place.
+        flow: ``(2, h, w)`` float32, changed in place.
     """
     height, width = depth.shape
     for y in range(height):
@@ -40,12 +40,12 @@ def spread_motion(depth, owner, flow):
                 first, sense, near = x, -1, x + 1
             else:
                 continue
-            du, dv, limit = flow[y, near, 0], flow[y, near, 1], depth[y, near] / _EDGE
+            du, dv, limit = flow[0, y, near], flow[1, y, near], depth[y, near] / _EDGE
             for i in range(int(min(abs(du), float32(LONGEST_BLUR_PX)) * float32(0.5) + float32(0.5))):
                 column = first + sense * i
-                if column < 0 or column >= width or depth[y, column] > limit or abs(flow[y, column, 0]) > abs(du):
+                if column < 0 or column >= width or depth[y, column] > limit or abs(flow[0, y, column]) > abs(du):
                     break
-                flow[y, column, 0], flow[y, column, 1] = du, dv
+                flow[0, y, column], flow[1, y, column] = du, dv
 
 
 @njit(cache=True, error_model="numpy")
@@ -61,7 +61,7 @@ def _smear(radiance, flow, y, words, scales):
     flat = radiance.reshape(height * width)
     right, bottom = (width << 16) - 1, (height << 16) - 1
     for x in range(width):
-        du, dv = flow[y, x, 0], flow[y, x, 1]
+        du, dv = flow[0, y, x], flow[1, y, x]
         length = max(abs(du), abs(dv))
         if length <= float32(1.0):
             continue
@@ -107,7 +107,7 @@ def expose(radiance, flow, vignette, noise, offset, gain, shot, read, out):
 
     Args:
         radiance: ``(h, w)`` int64 as ``shade`` leaves it.
-        flow: ``(h, w, 2)`` float32, motion during the exposure in pixels.
+        flow: ``(2, h, w)`` float32, motion during the exposure in pixels, along columns and along rows.
         vignette: ``(h, w)`` float32 share of light that reaches the pixel.
         noise: ``(NOISE_SIDE, n)`` float32 unit normal numbers, n >= 3 w + NOISE_SIDE.
         offset: ``(h, 2)`` row and first column of the noise of each image row.

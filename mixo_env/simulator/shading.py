@@ -26,7 +26,7 @@ from mixo_env.simulator.sampling import (
 from mixo_env.simulator.shadows import PICTURE_TEXELS_PER_M
 from mixo_env.simulator.textures import DETAIL_SIDE
 
-SPAN = 16
+SPAN = 32
 """Longest run of pixels that shares one reduction of the texture."""
 
 MOST_TAPS = 3
@@ -46,6 +46,13 @@ _DETAIL_LOG = DETAIL_SIDE.bit_length() - 1
 _LAST_DETAIL = 5
 _EVEN_SPAN_TEXELS = 6.0
 _OFF_WALL_M = 0.8  # shadows are looked up this far off a surface, or every wall would shade itself
+
+
+@njit(cache=True, error_model="numpy")
+def _ramp(start, step, out):
+    first, slope = float32(start), float32(step)
+    for i in range(out.shape[0]):
+        out[i] = first + slope * float32(i)
 
 
 @njit(cache=True, error_model="numpy")
@@ -91,8 +98,8 @@ def _sky_run(row, begin, stop, camera, light, sky, turn, out, flow):
             g = int(light[4] * keep + light[7] * share + white)
             b = int(light[5] * keep + light[8] * share + white)
             out[row, column] = min(r, RADIANCE_TOP) | min(g, RADIANCE_TOP) << 21 | min(b, RADIANCE_TOP) << 42
-            flow[row, column, 0] = fu + efu * i
-            flow[row, column, 1] = fv + efv * i
+        _ramp(fu, efu, flow[0, row, x:end])
+        _ramp(fv, efv, flow[1, row, x:end])
         x = end
 
 
@@ -178,7 +185,7 @@ def _shade_run(row, begin, stop, k, seen, camera, light, textures, daylight, nig
         w = w0 + w1 * x
         iz = 1.0 / w
         # Linear interpolation over n pixels errs by n^2 / 4 |w1 / w| pixels.
-        longest = SPAN if w > 427.0 * abs(w1) else (8 if w > 107.0 * abs(w1) else 4)
+        longest = max(4, int(min(np.sqrt(0.6 * w / (abs(w1) + 1e-12)), float(SPAN))))
         end = min(x + longest, stop)
         last = end - 1
         steps = last - x
@@ -271,7 +278,7 @@ def _shade_run(row, begin, stop, k, seen, camera, light, textures, daylight, nig
                 factors[i] = (steady + facing * sunny + emitted) * unit
         else:
             factors[:] = bright * unit
-        if fine < _LAST_DETAIL:
+        if fine < _LAST_DETAIL and strength > 0.0:
             _add_grain(
                 detail,
                 fine_start,
@@ -292,10 +299,8 @@ def _shade_run(row, begin, stop, k, seen, camera, light, textures, daylight, nig
         back = 2.0 / max(mz0 + mz1 * last, 1e-4)
         nu = ((mx0 + mx1 * last) * back * fx + 2.0 * (cx - last) - mu) * inverse
         nv = ((my0 + my1 * last) * back * fy + 2.0 * (cy - row) - mv) * inverse
-        for column in range(x, end):
-            i = column - x
-            flow[row, column, 0] = mu + nu * i
-            flow[row, column, 1] = mv + nv * i
+        _ramp(mu, nu, flow[0, row, x:end])
+        _ramp(mv, nv, flow[1, row, x:end])
         x = end
 
 
@@ -317,7 +322,7 @@ def shade(seen, camera, light, textures, daylight, night, motion, out, flow):
         motion: ``(bodies, 12)`` rotation by rows and translation from camera coordinates at the middle of the exposure
             to those at its end, per rigid body; body 0 is the world.
         out: ``(h, w)`` int64, three 21-bit fields of radiance, red lowest, each at most ``RADIANCE_TOP``.
-        flow: ``(h, w, 2)`` float32 pixels.
+        flow: ``(2, h, w)`` float32 pixels, along columns and along rows.
     """
     owner = seen[0]
     memory = np.empty(SPAN, np.uint64), np.empty(SPAN, np.float32), np.empty(SPAN, np.int64)

@@ -236,8 +236,8 @@ def vehicle_models(
         half = 0.5 * VEHICLE_KINDS[kind].width_m
         for colour, paint in enumerate(_PAINTS):
             picture, per_m = _side(rng, kind, paint)
-            side = Surface(atlas.add(picture), (per_m, per_m), detail=0.1, shape=CUT_OUT | TWO_SIDED)
-            lacquer = Surface(atlas.add(plain(rng, tuple(paint), 0.02, 64)), (20.0, 20.0), detail=0.12)
+            side = Surface(atlas.add(picture), (per_m, per_m), detail=0.0, shape=CUT_OUT | TWO_SIDED)
+            lacquer = Surface(atlas.add(plain(rng, tuple(paint), 0.02, 64)), (20.0, 20.0), detail=0.0)
             ends = {front: atlas.add(_end(rng, kind, paint, front)) for front in (True, False)}
             models[kind, colour] = _model(
                 shape, half, VEHICLE_KINDS[kind].height_m, side, lacquer, glass, ends, ground, ground_texels_per_m
@@ -266,9 +266,9 @@ def _model(
         run = float(np.hypot(x1 - x0, z1 - z0))
         per_m = (128.0 / (2.0 * half), 128.0 / run)
         if part in ("front", "rear", "doors"):
-            look = Surface(ends[part == "front"], per_m, detail=0.1, emission=3.0 if part == "front" else 1.5)
+            look = Surface(ends[part == "front"], per_m, detail=0.0, emission=3.0 if part == "front" else 1.5)
         elif part in ("glass", "screen"):
-            look = Surface(glass, (64.0 / (2.0 * half), 64.0 / run), detail=0.05)
+            look = Surface(glass, (64.0 / (2.0 * half), 64.0 / run), detail=0.0)
         else:
             look = lacquer
         forward = part in ("front", "hood", "screen")
@@ -276,7 +276,7 @@ def _model(
             parts.append(quad(look, (x0, -half, z0), (0, 2 * half, 0), (x1 - x0, 0, z1 - z0)))
         else:  # as seen from behind
             parts.append(quad(look, (x1, half, z1), (0, -2 * half, 0), (x0 - x1, 0, z0 - z1)))
-    mirror = Surface(lacquer.texture, (60.0, 60.0), detail=0.1)
+    mirror = Surface(lacquer.texture, (60.0, 60.0), detail=0.0)
     x = shape.windows[-1][-1][0] - 0.15
     z = shape.windows[-1][-1][1]
     for y in (half, -half - 0.2):
