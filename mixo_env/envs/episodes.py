@@ -71,7 +71,7 @@ def write_minari(
                 seed=seed if i == 0 else None,
                 options={"scene": info["scores"]["scene"]},
                 observations=stacked(observations),
-                actions=np.stack(actions),
+                actions=actions,
                 rewards=rewards,
                 terminations=[False] * len(ends),
                 truncations=ends,
