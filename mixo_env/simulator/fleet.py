@@ -59,7 +59,7 @@ def _place(states, models, size, source, target, texels_per_m, sun, shadows):
                 out_texel[q], out_look[q], out_tag[q] = texel[under], look[under], tag[under]
                 for j in range(3):
                     out_look[q, j] = 1.0
-                out_tag[q, 0] = _BOTH & 2
+                out_tag[q, 0] = TWO_SIDED
                 g = out_geometry[q]
                 g[2], g[5], g[8] = 0.01, 0.0, 0.0
                 if k == 0:

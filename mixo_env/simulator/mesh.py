@@ -1,8 +1,8 @@
 """Surfaces made of flat patches, the only primitive of the renderer.
 
-A patch is the parallelogram origin + s edge_u + t edge_v, 0 <= s, t <= 1, or its half s + t <= 1. Seen from its front,
-edge_u points right and edge_v down; the back is invisible unless the patch is two-sided. A mesh is an array of
-:data:`PATCH`, so that moving and joining meshes are plain array operations.
+A patch is the parallelogram origin + s edge_u + t edge_v, 0 <= s, t <= 1. Seen from its front, edge_u points right and
+edge_v down; the back is invisible unless the patch is two-sided. A mesh is an array of :data:`PATCH`, so that moving
+and joining meshes are plain array operations.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from mixo_env.simulator.textures import DETAIL_SIDE
 
-TRIANGLE, TWO_SIDED, CUT_OUT = 1, 2, 4
+TWO_SIDED, CUT_OUT = 1, 2
 """Bits of ``shape``. A cut-out patch is seen only where the fourth channel of its texture is above one half."""
 
 SOLID, GROUND, SHADE = 0, 1, 2

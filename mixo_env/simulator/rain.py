@@ -84,8 +84,10 @@ def mirror_road(radiance, owner, depth, mark, rotation, position, lens, clouds, 
                 if column >= 0:
                     c = min(max(column + i - (x + end - 1) // 2, 0), width - 1)
                     seen_by = owner[line, c]
-                    if seen_by < 0 or mark[seen_by, 1] == SOLID:  # a smear upwards stands for the ripples
-                        other = (radiance[line, c] >> 1 & _HALF) + (radiance[max(line - 3, 0), c] >> 1 & _HALF)
+                    if seen_by >= 0 and mark[seen_by, 1] != SOLID:
+                        continue  # the mirrored ray passed below something: nothing in the picture shows its underside
+                    # A smear upwards stands for the ripples.
+                    other = (radiance[line, c] >> 1 & _HALF) + (radiance[max(line - 3, 0), c] >> 1 & _HALF)
                 radiance[row, i] = _mixed(radiance[row, i], other, share)
             x = end
 

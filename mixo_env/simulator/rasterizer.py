@@ -15,7 +15,7 @@ import numpy as np
 from numba import float32, int32, njit
 from numpy.typing import NDArray
 
-from mixo_env.simulator.mesh import CUT_OUT, TRIANGLE, TWO_SIDED, PatchSet
+from mixo_env.simulator.mesh import CUT_OUT, TWO_SIDED, PatchSet
 
 NEAR_M = 0.2
 """Nothing nearer to the camera plane is drawn."""
@@ -119,11 +119,11 @@ def _not_hidden(farthest, nearest, tiles, chosen):
 
 
 @njit(cache=True, error_model="numpy")
-def _rows(corner, corners, fy, cy, height):
+def _rows(corner, fy, cy, height):
     """First and last pixel row that the polygon's part before the camera can touch."""
     lowest, highest = 1e9, -1e9
-    for j in range(corners):
-        k = j + 1 if j + 1 < corners else 0
+    for j in range(4):
+        k = (j + 1) % 4
         here, there = corner[j, 2], corner[k, 2]
         if here > NEAR_M:
             row = corner[j, 1] / here * fy + cy
@@ -220,15 +220,11 @@ def _draw(
             vx = rotation[0, 0] * v0 + rotation[0, 1] * v1 + rotation[0, 2] * v2
             vy = rotation[1, 0] * v0 + rotation[1, 1] * v1 + rotation[1, 2] * v2
             vz = rotation[2, 0] * v0 + rotation[2, 1] * v1 + rotation[2, 2] * v2
-            triangle = shape & TRIANGLE != 0
             corner[0, 0], corner[0, 1], corner[0, 2] = px, py, pz
             corner[1, 0], corner[1, 1], corner[1, 2] = px + ux, py + uy, pz + uz
+            corner[2, 0], corner[2, 1], corner[2, 2] = px + ux + vx, py + uy + vy, pz + uz + vz
             corner[3, 0], corner[3, 1], corner[3, 2] = px + vx, py + vy, pz + vz
-            if triangle:
-                corner[2] = corner[3]
-            else:
-                corner[2, 0], corner[2, 1], corner[2, 2] = px + ux + vx, py + uy + vy, pz + uz + vz
-            first, last = _rows(corner, 3 if triangle else 4, fy, cy, height)
+            first, last = _rows(corner, fy, cy, height)
             if first > last:
                 continue
 
@@ -241,20 +237,15 @@ def _draw(
             half_plane[1, 0], half_plane[1, 1], half_plane[1, 2] = t0, t1, t2
             half_plane[2, 0], half_plane[2, 1], half_plane[2, 2] = w0 - 1.0 / far, w1, w2
             half_plane[3, 0], half_plane[3, 1], half_plane[3, 2] = 1.0 / NEAR_M - w0, -w1, -w2
-            edges = 6
-            if triangle:
-                half_plane[4, 0], half_plane[4, 1], half_plane[4, 2] = w0 - s0 - t0, w1 - s1 - t1, w2 - s2 - t2
-                edges = 5
-            else:
-                half_plane[4, 0], half_plane[4, 1], half_plane[4, 2] = w0 - s0, w1 - s1, w2 - s2
-                half_plane[5, 0], half_plane[5, 1], half_plane[5, 2] = w0 - t0, w1 - t1, w2 - t2
-            for e in range(edges):  # the column at which each half-plane begins or ends, linear in the row
+            half_plane[4, 0], half_plane[4, 1], half_plane[4, 2] = w0 - s0, w1 - s1, w2 - s2
+            half_plane[5, 0], half_plane[5, 1], half_plane[5, 2] = w0 - t0, w1 - t1, w2 - t2
+            for e in range(6):  # the column at which each half-plane begins or ends, linear in the row
                 inverse = -1.0 / half_plane[e, 1] if abs(half_plane[e, 1]) > _EMPTY else 1.0
                 crossing[e, 0], crossing[e, 1] = half_plane[e, 0] * inverse, half_plane[e, 2] * inverse
             taken = False
             for row in range(first, last + 1):
                 low, high = 0.0, width - 1.0
-                for e in range(edges):
+                for e in range(6):
                     bound = crossing[e, 0] + crossing[e, 1] * row
                     if half_plane[e, 1] > _EMPTY:
                         low = max(low, bound)

@@ -9,6 +9,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from mixo_env.errors import ConfigurationError
 from mixo_env.nuscenes.scene import CameraCalibration
 from mixo_env.simulator.fleet import Fleet, body_motion
 from mixo_env.simulator.lamps import add_glare, light_window
@@ -192,6 +193,10 @@ class Renderer:
     def _memory(self, height: int, width: int) -> _Memory:
         """Working arrays for one picture size, made once."""
         if (height, width) not in self._sizes:
+            if width > _WIDEST_PX:
+                raise ConfigurationError(
+                    f"pictures can be at most {_WIDEST_PX} pixels wide, got {width}: scale the camera"
+                )
             y, x = np.mgrid[0:height, 0:width]
             squared = ((x - 0.5 * width) ** 2 + (y - 0.5 * height) ** 2) / (0.5 * width) ** 2
             self._sizes[height, width] = (
