@@ -14,6 +14,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from mixo_env.errors import DatasetError
+
 Gray = NDArray[np.uint8]
 
 AREA_PX = 360_000.0
@@ -42,23 +44,6 @@ class PictureStatistics:
     slope: float
     repeatability: float
     correct: float
-    hamming: float
-
-
-@dataclass(frozen=True)
-class PairStatistics:
-    """Of two consecutive pictures.
-
-    Attributes:
-        matches: ratio-tested ORB matches (of 1,500 corners).
-        inliers: share that fits one epipolar geometry within 1 pixel.
-        flow_px: median length.
-        hamming: median descriptor distance.
-    """
-
-    matches: float
-    inliers: float
-    flow_px: float
     hamming: float
 
 
@@ -113,35 +98,21 @@ def picture_statistics(gray: Gray) -> PictureStatistics:
     )
 
 
-def pair_statistics(first: Gray, second: Gray, intrinsic: NDArray[np.float64]) -> PairStatistics:
-    """Statistics of two consecutive pictures of a camera with pixel matrix ``intrinsic``."""
-    orb = _orb(1500)
-    here, here_words = orb.detectAndCompute(first, None)
-    there, there_words = orb.detectAndCompute(second, None)
-    matches = _matched(here_words, there_words)
-    start = np.array([here[m.queryIdx].pt for m in matches])
-    end = np.array([there[m.trainIdx].pt for m in matches])
-    cv2.setRNGSeed(1)
-    _, inliers = cv2.findEssentialMat(start, end, intrinsic, method=cv2.RANSAC, prob=0.999, threshold=1.0)
-    return PairStatistics(
-        matches=float(len(matches)),
-        inliers=float(np.mean(inliers)),
-        flow_px=float(np.median(np.linalg.norm(start - end, axis=1))),
-        hamming=float(np.median([m.distance for m in matches])),
-    )
+def read_gray(path: Path) -> Gray:
+    """A picture in grey; one of 1600 x 900 at half that size.
 
-
-def read_gray(path: Path, width: int | None = None) -> Gray:
-    """A picture in grey, scaled down to ``width`` if that is given and smaller."""
+    Raises:
+        DatasetError: if it cannot be read.
+    """
     gray = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
-    assert gray is not None
-    if width is not None and width < gray.shape[1]:
-        size = (width, round(gray.shape[0] * width / gray.shape[1]))
-        gray = cv2.resize(gray, size, interpolation=cv2.INTER_AREA)
+    if gray is None:
+        raise DatasetError(f"{path} cannot be read as a picture: give PNG or JPEG files, or folders of them")
+    if gray.shape[1] == 1600:
+        gray = cv2.resize(gray, None, fx=0.5, fy=0.5, interpolation=cv2.INTER_AREA)
     return gray.astype(np.uint8)
 
 
-def mean_row(rows: Sequence[PictureStatistics] | Sequence[PairStatistics]) -> str:
+def mean_row(rows: Sequence[PictureStatistics]) -> str:
     """Means over pictures, one ``name value`` after the other."""
     means = np.mean([astuple(row) for row in rows], axis=0)
     return "  ".join(f"{field.name} {mean:.2f}" for field, mean in zip(fields(rows[0]), means, strict=True))
@@ -152,11 +123,7 @@ def main() -> None:
     for name in sys.argv[1:]:
         root = Path(name)
         paths = sorted(p for p in root.rglob("*") if p.suffix in (".png", ".jpg")) if root.is_dir() else [root]
-        paths = paths[:: max(1, len(paths) // 60)]
-        narrow = [path for path in paths if cv2.imread(str(path), cv2.IMREAD_GRAYSCALE) is not None]
-        rows = [
-            picture_statistics(read_gray(path, 800 if read_gray(path).shape[1] == 1600 else None)) for path in narrow
-        ]
+        rows = [picture_statistics(read_gray(path)) for path in paths[:: max(1, len(paths) // 60)]]
         print(f"{root.name:28s} ({len(rows)})  {mean_row(rows)}")
 
 

@@ -22,6 +22,7 @@ from mixo_env.errors import ConfigurationError, MixoError, RecordingError
 from mixo_env.experts.expert import State
 from mixo_env.metrics.absolute import absolute_errors_se2, scene_absolute
 from mixo_env.recordings.collection import Recordings
+from mixo_env.recordings.schema import VehicleConstants
 from tests.synthetic import synthetic_recordings
 
 RECORDINGS = synthetic_recordings(scenes=8, steps=40)
@@ -178,6 +179,21 @@ def test_splits_and_folds() -> None:
     assert folds(fold=1) == {0, 2, 3}
     assert folds(fold=1, split="test") == {1}
     assert folds(split="all") == {0, 1, 2, 3}
+
+
+def test_vehicle_constants_never_come_from_the_held_out_fold() -> None:
+    longer = RECORDINGS["truth.distance_m"].copy()
+    for i, scene in enumerate(RECORDINGS.scenes):
+        if scene.fold == 1:
+            longer[RECORDINGS.offsets[i] : RECORDINGS.offsets[i + 1]] *= 1.5
+    changed = RECORDINGS.replace(columns={"truth.distance_m": longer})
+
+    def constants(recordings: Recordings, **options: Any) -> dict[str, VehicleConstants]:
+        return dict(make(recordings=recordings, **options).session.recordings.manifest.vehicles)
+
+    assert constants(changed, fold=1, split="test") == constants(RECORDINGS, fold=1, split="test")
+    assert constants(changed, fold=0, split="test") != constants(RECORDINGS, fold=0, split="test")
+    assert constants(RECORDINGS) == RECORDINGS.manifest.vehicles
 
 
 def fault_of(kind: str, **fields: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -9,7 +9,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from mixo_env.envs.observation import AWAKE, PAPER, RICH, Quantity
+from mixo_env.envs.observation import AWAKE, RICH, Quantity
 from mixo_env.envs.odometry import MixoOdometryEnv, MixoOdometryVectorEnv
 from mixo_env.envs.replay import Replay
 from mixo_env.envs.session import Session
@@ -149,6 +149,8 @@ class BudgetSession(Session):
     """A batch of scenes in which cameras cost time."""
 
     switchable: ClassVar[bool] = True
+    replay_class: ClassVar[type[Replay]] = BudgetReplay
+    rich: ClassVar[tuple[Quantity, ...]] = STATELESS
     settings: BudgetSettings
     replay: BudgetReplay
 
@@ -162,19 +164,6 @@ class BudgetSession(Session):
         self.cost_ms = np.array([costs[camera] for camera in self.replay.cameras])
         self.reward.terms = (*self.reward.terms, "reward_cost", "cost_ms")
         self._report_shape = self._report_shape[0] + 2, batch
-
-    def _build_replay(self, recordings: Recordings, keep_trajectories: bool) -> BudgetReplay:
-        s = self.settings
-        return BudgetReplay(
-            recordings,
-            track=s.track,
-            experts=s.experts,
-            previous=s.previous,
-            lost=s.lost,
-            privileged=s.privileged,
-            quantities=PAPER if s.observation in ("paper", "pixels") else STATELESS,
-            keep_trajectories=keep_trajectories,
-        )
 
     def _switch(self, actions: NDArray[np.float32], report: NDArray[np.float64], flat: NDArray[np.float32]) -> None:
         """Switch cameras by the sign of an action's last numbers, charge for it, and correct the observation."""

@@ -11,7 +11,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from mixo_env.envs.actions import ActionRule
-from mixo_env.envs.observation import PAPER, RICH
+from mixo_env.envs.observation import PAPER, RICH, Quantity
 from mixo_env.envs.replay import Replay
 from mixo_env.envs.reward import Reward
 from mixo_env.envs.settings import Settings
@@ -40,6 +40,9 @@ class Session:
 
     switchable: ClassVar[bool] = False
     """Whether an action ends with a switch for every camera."""
+    replay_class: ClassVar[type[Replay]] = Replay
+    rich: ClassVar[tuple[Quantity, ...]] = RICH
+    """What ``observation="rich"`` shows."""
 
     def __init__(self, settings: Settings, batch: int, *, keep_trajectories: bool = True) -> None:
         """Open the recordings and build the core for ``batch`` environments; rendering needs the trajectories."""
@@ -157,14 +160,14 @@ class Session:
 
     def _build_replay(self, recordings: Recordings, keep_trajectories: bool) -> Replay:
         s = self.settings
-        return Replay(
+        return self.replay_class(
             recordings,
             track=s.track,
             experts=s.experts,
             previous=s.previous,
             lost=s.lost,
             privileged=s.privileged,
-            quantities=PAPER if s.observation in ("paper", "pixels") else RICH,
+            quantities=PAPER if s.observation in ("paper", "pixels") else self.rich,
             keep_trajectories=keep_trajectories,
         )
 

@@ -73,7 +73,8 @@ class Settings:
     def open(self) -> tuple[Recordings, Recordings]:
         """The scenes to play and the scenes a reference may be fitted on, both with the faults asked for.
 
-        The held-out ``fold`` is never fitted on, except where the recordings hold nothing else.
+        The held-out ``fold`` is never fitted on, except where the recordings hold nothing else. The manifest's vehicle
+        constants come from the split "train", so another held-out fold needs its own.
 
         Raises:
             ConfigurationError: for unknown names, or when no scene is left.
@@ -92,6 +93,10 @@ class Settings:
             raise ConfigurationError(
                 f"fold: expected one of {SPLITS['all']}, got {self.fold!r}: it is the one held out"
             )
+        if self.fold not in SPLITS["test"]:
+            from mixo_env.recordings.vehicles import with_training_constants
+
+            recordings = with_training_constants(recordings, others)
         faults = read_faults(self.faults)
         played = inject(recordings.select(folds=folds, conditions=self.conditions), faults)
         return played, inject(recordings.select(folds=others), faults) if others else played

@@ -50,11 +50,6 @@ class Rounds:
         """``(rounds, cameras)``: the camera delivered an image in the round."""
         return self.image != NONE
 
-    @property
-    def closing_image(self) -> IntArray:
-        """``(rounds,)`` index of the closing image among those of ``closing_camera``."""
-        return self.image[np.arange(len(self)), self.closing_camera]
-
 
 def firing_rounds(timestamps_us: Mapping[str, IntArray]) -> Rounds:
     """Group the images of all cameras by the turn of the lidar that triggered them.

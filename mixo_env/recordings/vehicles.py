@@ -70,6 +70,12 @@ def training_constants(recordings: Recordings) -> dict[str, VehicleConstants]:
     return _fitted_or_nominal(recordings, SPLITS["train"], [scene.vehicle for scene in recordings.scenes])
 
 
+def with_training_constants(recordings: Recordings, folds: Collection[int]) -> Recordings:
+    """The recordings with constants fitted on ``folds`` instead of those in the manifest."""
+    constants = _fitted_or_nominal(recordings, folds, [scene.vehicle for scene in recordings.scenes])
+    return recordings.replace(replace(recordings.manifest, vehicles=constants))
+
+
 def with_held_out_constants(recordings: Recordings) -> Recordings:
     """The recordings as cross-validation must see them: no scene's constants are fitted on its own fold.
 
