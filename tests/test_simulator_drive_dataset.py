@@ -117,6 +117,22 @@ def test_an_interrupted_run_continues(folder, tmp_path, monkeypatch):
     assert digests(out) == digests(folder)
 
 
+def test_some_scenes_now_and_the_others_later(folder, tmp_path):
+    out = tmp_path / "city"
+    seen = []
+    simulate(TINY, out, only=("scene-2004", "scene-2002"), progress=lambda done, total: seen.append((done, total)))
+    assert open_dataset(out).scene_names == ("scene-2002", "scene-2004")
+    assert seen[-1] == (2, 2)
+    whole = digests(folder)
+    assert all(whole[name] == digest for name, digest in digests(out).items() if not name.startswith("v1.0-mixo"))
+    simulate(TINY, out, only=("scene-2001",))
+    assert open_dataset(out).scene_names == ("scene-2001", "scene-2002", "scene-2004")
+    simulate(TINY, out)
+    assert digests(out) == whole
+    with pytest.raises(ConfigurationError, match="unknown scene 'scene-3000'"):
+        simulate(TINY, out, only=("scene-3000",))
+
+
 def test_a_finished_folder_is_left_alone(folder, monkeypatch):
     before = digests(folder)
     monkeypatch.setattr(dataset, "_simulate_scene", lambda *_: pytest.fail("simulated again"))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mixo_env.simulator.routes import LEFT, MAX_OFFSET_M, RIGHT, STEP_M, STRAIGHT, Route, plan_route
+from mixo_env.simulator.routes import LEFT, MAX_OFFSET_M, PASSING_M, RIGHT, STEP_M, STRAIGHT, Route, plan_route
 from mixo_env.simulator.streets import BLOCK_M, HALF_CITY_BLOCKS, HALF_ROAD_M, LANE_M, SIDEWALK_M
 from mixo_env.simulator.traffic import CAR_WIDTH_M, REAR_AXLE_TO_FRONT_M, REAR_AXLE_TO_REAR_M
 
@@ -13,7 +13,13 @@ from mixo_env.simulator.traffic import CAR_WIDTH_M, REAR_AXLE_TO_FRONT_M, REAR_A
 def routes(count: int = 40) -> list[Route]:
     rng = np.random.default_rng(5)
     return [
-        plan_route(rng, [int(move) for move in rng.choice([LEFT, STRAIGHT, RIGHT], 6)], 8.0, tight=bool(number % 2))
+        plan_route(
+            rng,
+            [int(move) for move in rng.choice([LEFT, STRAIGHT, RIGHT], 6)],
+            8.0,
+            tight=bool(number % 2),
+            passing=(number % 4) / 3.0,
+        )
         for number in range(count)
     ]
 
@@ -66,7 +72,12 @@ def test_routes_stay_in_their_lane_inside_the_city():
         aside = np.where(eastwest, y, x)
         to_left = np.where(eastwest, np.sign(np.cos(course)), -np.sign(np.sin(course)))
         offset = to_left * (aside - BLOCK_M * np.round(aside / BLOCK_M)) + LANE_M  # 0 in the middle of the right lane
-        assert np.abs(offset).max() < MAX_OFFSET_M + 0.25
+        passed = np.zeros(len(offset), dtype=bool)
+        for passed_m in route.passed_m:
+            distance_m = np.abs(route.s_m[straight] - passed_m)
+            assert offset[distance_m < 3.0] == pytest.approx(PASSING_M, abs=0.25)
+            passed |= distance_m < 24.0
+        assert np.abs(offset[~passed]).max() < MAX_OFFSET_M + 0.25
 
 
 def test_the_car_clears_kerbs_houses_and_parked_cars():
@@ -86,6 +97,17 @@ def test_the_car_clears_kerbs_houses_and_parked_cars():
             for along, across in ((u, v), (v, u)):
                 beside_parked = (along > SIDEWALK_M + 3.0) & (across < SIDEWALK_M)
                 assert across[beside_parked].max(initial=0.0) < 4.5  # a parked van begins there
+
+
+def test_vehicles_in_the_way_stand_between_the_turns():
+    passing = [route for route in routes() if route.passed_m]
+    assert max(len(route.passed_m) for route in passing) == 5  # every block but the first
+    for route in passing:
+        for passed_m in route.passed_m:
+            assert all(passed_m + 20.0 < first or last < passed_m - 20.0 for first, last in route.turns_m)
+            x, y, course = (float(value[0]) for value in route.at(np.array([passed_m])))
+            assert np.sin(2.0 * course) == pytest.approx(0.0, abs=1e-6)  # the car passes straight along the street
+            assert max(from_centre_line(np.array([x, y]))) > 0.5 * BLOCK_M - 6.0  # in the middle of a block
 
 
 def test_routes_continue_straight_beyond_their_ends():

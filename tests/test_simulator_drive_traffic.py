@@ -93,6 +93,23 @@ def test_lead_truck_and_following_van_fill_their_views():
         assert all(4.0 < np.hypot(ahead, aside) < 20.0 and ahead < 0.0 for ahead, aside in behind)
 
 
+def test_what_the_route_swerves_around_is_there():
+    passed = standing = 0
+    for seed in range(12):
+        drive, vehicles = staged("ordinary", seed)
+        first_m, last_m = drive.at("s_m", np.array([0.0, 20.0]))
+        for passed_m in drive.route.passed_m:
+            if first_m < passed_m < last_m:
+                time_s = float(np.interp(passed_m, drive.s_m, drive.time_s))
+                beside = [
+                    relative(drive, vehicle, time_s) for vehicle in vehicles if np.ptp(vehicle.x_m + vehicle.y_m) == 0
+                ]
+                passed += 1
+                standing += any(abs(ahead) < 0.5 and -3.2 < aside < -2.4 for ahead, aside in beside)
+    assert passed >= 3
+    assert standing == passed
+
+
 def test_queue_platoon_and_cross_traffic_are_there():
     drive, vehicles = staged("side_queue")
     beside = [

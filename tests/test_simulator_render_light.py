@@ -11,11 +11,11 @@ from mixo_env.simulator.furniture import LAMP_M
 from mixo_env.simulator.lamps import add_glare, light_window
 from mixo_env.simulator.mesh import GROUND, Surface, quad
 from mixo_env.simulator.render import Renderer
-from mixo_env.simulator.sampling import even_cells
+from mixo_env.simulator.sampling import even_cells, grain
 from mixo_env.simulator.shadows import EXTENT_M, FIELD_TEXELS_PER_M, PICTURE_TEXELS_PER_M, Shadows
 from mixo_env.simulator.textures import Atlas, lanes, rgba, spectral_noise
 from mixo_env.simulator.vehicles import VehicleState
-from mixo_env.simulator.world import lamp_light, packed_detail
+from mixo_env.simulator.world import grain_levels, lamp_light
 from tests.tiny_world import FLAT, SUN, camera, plain_texture, pose, surface, world_of
 
 HOUSE = np.array([(0.0, 0.0), (10.0, 0.0), (10.0, 20.0), (0.0, 20.0)])
@@ -176,10 +176,14 @@ def test_atlas_keeps_every_reduction() -> None:
     assert (table[1, 4:] == table[1, 3]).all()  # a side of 2 ends the chain
 
 
-def test_packed_detail_holds_the_neighbours() -> None:
-    tile = np.arange(64, dtype=np.uint8).reshape(8, 8)
-    packed, start = packed_detail(tile)
-    words = packed[:64].reshape(8, 8)
-    assert words[2, 3] == 19 | 20 << 16 | 27 << 32 | 28 << 48
-    assert words[7, 7] == 63 | 56 << 16 | 7 << 32 | 0 << 48  # wraps around
+def test_grain_is_interpolated_between_four_texels_and_repeats() -> None:
+    tile = np.random.default_rng(2).integers(0, 256, (8, 8), np.uint8)
+    tiles, start = grain_levels(tile)
     assert start.tolist() == [0, 64, 80]
+    assert np.array_equal(tiles[:64].reshape(8, 8), tile)
+    for u, v, wanted in (
+        (3.0, 2.0, tile[2, 3]),
+        (3.25, 2.0, 0.75 * tile[2, 3] + 0.25 * tile[2, 4]),
+        (7.5, -0.5, 0.25 * (float(tile[7, 7]) + tile[7, 0] + tile[0, 7] + tile[0, 0])),  # around both edges
+    ):
+        assert grain(tiles, 0, 3, int(u * 65536), int(v * 65536)) == 256.0 * wanted

@@ -1,7 +1,7 @@
-"""Simulate a whole data set into a folder in nuScenes format, on several processes, continuing where it stopped.
+"""Simulate a data set into a folder in nuScenes format, on several processes, continuing where it stopped.
 
-A scene is finished when its rows lie in ``parts/``; the tables are written when all scenes are finished. So neither a
-half-written scene nor a half-finished data set can be taken for a whole one.
+A scene is finished when its rows lie in ``parts/``; the tables are written when all scenes asked for are finished, and
+list the finished ones. So neither a half-written scene nor a half-finished data set can be taken for a whole one.
 """
 
 from __future__ import annotations
@@ -10,14 +10,14 @@ import dataclasses
 import io
 import json
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mixo_env.errors import ConfigurationError, DatasetError
+from mixo_env.errors import ConfigurationError, DatasetError, unknown
 from mixo_env.nuscenes.scene import ExactPoses
 from mixo_env.nuscenes.writer import scene_tables, write_bytes, write_can_bus, write_json, write_tables
 from mixo_env.simulator.config import SimulationConfig
@@ -30,45 +30,60 @@ if TYPE_CHECKING:
 VERSION = "v1.0-mixo"
 """Name of the table folder."""
 
-FORMAT = 1
+FORMAT = 2
 """Raised whenever equal configurations no longer give equal files."""
 
-JPEG_QUALITY = 90
+JPEG_QUALITY = 80
+"""With colour at half resolution (4:2:0), as the images of nuScenes."""
 
 Progress = Callable[[int, int], None]
 
 
-def simulate(config: SimulationConfig, out: Path, workers: int = 1, progress: Progress | None = None) -> None:
+def simulate(
+    config: SimulationConfig,
+    out: Path,
+    workers: int = 1,
+    progress: Progress | None = None,
+    only: Collection[str] = (),
+) -> None:
     """Simulate a data set, or what is still missing of it.
 
     Args:
         config: what to simulate.
         out: folder to write; it is new, empty, or holds an interrupted run of the same configuration.
         workers: number of processes; the files do not depend on it. Each log is simulated by one of them.
-        progress: called with the number of finished scenes and of all scenes whenever that changes.
+        progress: called with the number of finished scenes and of those asked for whenever that changes.
+        only: names of the scenes to do now; empty: all. A scene is the same with or without the others, and a later
+            run adds to the folder.
 
     Raises:
-        ConfigurationError: the folder holds something else, or ``workers`` is not positive.
+        ConfigurationError: the folder holds something else, ``workers`` is not positive, or a scene is unknown.
         DatasetError: a file cannot be written (disk full, no permission); a rerun continues.
     """
     if workers < 1:
         raise ConfigurationError(f"workers must be at least 1, got {workers}")
+    logs = plan_logs(config)
+    everything = [scene for log in logs for scene in log.scenes]
+    for name in only:
+        if name not in {scene.name for scene in everything}:
+            raise ConfigurationError(unknown("scene", name, [scene.name for scene in everything]))
     out = out.resolve()
     _claim(config, out)
-    logs = plan_logs(config)
-    scenes = [scene for log in logs for scene in log.scenes]
-    unfinished = [log for log in logs if any(not _part(out, scene).exists() for scene in log.scenes)]
-    with _reported(out, scenes, progress):
-        if workers == 1 or len(unfinished) <= 1:
-            for log in unfinished:
-                _simulate_log(config, log, out)
+    asked = [scene for scene in everything if not only or scene.name in only]
+    unfinished = {scene.name for scene in asked if not _part(out, scene).exists()}
+    work = [(log, plans) for log in logs if (plans := [scene for scene in log.scenes if scene.name in unfinished])]
+    with _reported(out, asked, progress):
+        if workers == 1 or len(work) <= 1:
+            for log, plans in work:
+                _simulate_log(config, log, plans, out)
         else:
             from joblib import Parallel, delayed
 
-            Parallel(n_jobs=min(workers, len(unfinished)))(
-                delayed(_simulate_log)(config, log, out) for log in unfinished
+            Parallel(n_jobs=min(workers, len(work)))(
+                delayed(_simulate_log)(config, log, plans, out) for log, plans in work
             )
-    write_tables(out, VERSION, (_read(_part(out, scene)) for scene in scenes))
+    finished = (_part(out, scene) for scene in everything)
+    write_tables(out, VERSION, (_read(part) for part in finished if part.exists()))
 
 
 def _claim(config: SimulationConfig, out: Path) -> None:
@@ -100,17 +115,13 @@ def _part(out: Path, scene: ScenePlan) -> Path:
     return out / "parts" / f"{scene.name}.json"
 
 
-def _simulate_log(config: SimulationConfig, log: LogPlan, out: Path) -> None:
-    """All unfinished scenes of one log; the city is built once."""
+def _simulate_log(config: SimulationConfig, log: LogPlan, plans: Sequence[ScenePlan], out: Path) -> None:
+    """Some scenes of one log; the city is built once, and as all scenes of the log need it."""
     import cv2
 
     cv2.setNumThreads(1)
-    renderer: Renderer | None = None
-    for plan in log.scenes:
-        if _part(out, plan).exists():
-            continue
-        if config.images and renderer is None:
-            renderer = _renderer(config, log)
+    renderer = _renderer(config, log) if config.images else None
+    for plan in plans:
         _simulate_scene(config, log, plan, out, renderer)
 
 
@@ -134,7 +145,8 @@ def _simulate_scene(
         import simplejpeg
 
         for path, image in pictures(config, log, plan, simulated, renderer):
-            write_bytes(path, simplejpeg.encode_jpeg(image, quality=JPEG_QUALITY, colorspace="RGB"))
+            jpeg = simplejpeg.encode_jpeg(image, quality=JPEG_QUALITY, colorspace="RGB", colorsubsampling="420")
+            write_bytes(path, jpeg)
     write_can_bus(out, scene.name, simulated.messages)
     if scene.exact is not None:
         write_bytes(out / "exact" / f"{scene.name}.npz", _packed(scene.exact))

@@ -25,6 +25,15 @@ SHORT_SCENE_M = 5.0
 
 STANDING = frozenset({"standing", "standing_cross_traffic"})
 TURNING = frozenset({"tight_turn", "lead_truck"})
+CROWDED = frozenset({"side_queue", "oncoming_platoon"})
+"""The other lane has no room to swerve into."""
+
+_PASSING = 0.35  # probability of a vehicle in the way, per block
+
+# The streets of a grid do not bend, but two in five of the real scenes that move end 5 to 70 degrees from where they
+# began: among scenes whose turns are not staged, this share begins or ends within a turn and sees so much of it.
+_CUT_IN_TURN_SHARE = 0.56
+_CUT_IN_TURN_RAD = np.radians([5.0, 68.0])
 
 _ROLL_PER_ACCELERATION = 0.006  # roll per lateral acceleration [rad per m/s^2], outward
 _PITCH_PER_ACCELERATION = -0.005  # pitch [rad per m/s^2]; braking dips the nose, which is positive about y
@@ -78,11 +87,13 @@ def plan_drive(rng: np.random.Generator, situation: str, seconds: float, course_
         seconds: length of the scene.
         course_offset_rad: course minus heading of this car when driving straight on.
     """
+    free = situation not in STANDING | TURNING | {"fast_straight"}
+    in_turn = free and rng.uniform() < _CUT_IN_TURN_SHARE
     while True:
         cruise_mps = _cruise_mps(rng, situation)
-        route = _route(rng, situation, cruise_mps)
+        route = _route(rng, situation, cruise_mps, in_turn)
         time_s, s_m, speed_mps = _driven(rng, route, situation, cruise_mps, seconds)
-        cuts = _cuts(route, situation, seconds, time_s, s_m)
+        cuts = _cuts(route, situation, in_turn, seconds, time_s, s_m)
         if len(cuts):  # nearly always at the first try
             break
     start_s = time_s[rng.choice(cuts)]
@@ -95,19 +106,20 @@ def plan_drive(rng: np.random.Generator, situation: str, seconds: float, course_
 def _cruise_mps(rng: np.random.Generator, situation: str) -> float:
     """The speed of free traffic."""
     if situation == "fast_straight":
-        return rng.uniform(11.5, 14.0)
+        return rng.triangular(11.0, 11.2, 13.4)
     if rng.uniform() < 0.12:  # congested
         return rng.uniform(2.5, 6.0)
-    return float(np.clip(rng.normal(11.8, 2.6), 5.0, 14.0))
+    return float(np.clip(rng.normal(10.6, 1.6), 5.0, 13.0))
 
 
-def _route(rng: np.random.Generator, situation: str, cruise_mps: float) -> Route:
+def _route(rng: np.random.Generator, situation: str, cruise_mps: float, in_turn: bool) -> Route:
     if situation == "fast_straight":
         return plan_route(rng, [STRAIGHT] * 7, cruise_mps)
-    moves = rng.choice([LEFT, STRAIGHT, RIGHT], size=6, p=[0.11, 0.78, 0.11])
-    if situation in TURNING:
+    moves = rng.choice([LEFT, STRAIGHT, RIGHT], size=6, p=[0.1, 0.8, 0.1])
+    if situation in TURNING or in_turn:
         moves[rng.integers(2, 4)] = rng.choice([LEFT, RIGHT])
-    return plan_route(rng, [int(move) for move in moves], cruise_mps, tight=situation == "tight_turn")
+    passing = 0.0 if situation in CROWDED else _PASSING
+    return plan_route(rng, [int(move) for move in moves], cruise_mps, situation == "tight_turn", passing)
 
 
 def _driven(
@@ -117,18 +129,18 @@ def _driven(
     fast = situation == "fast_straight"
     flow = np.ones_like(route.s_m)  # traffic lets the car go at its own speed only now and then
     for wavelength_m in (rng.uniform(40, 70), rng.uniform(90, 160)):
-        flow += (0.03 if fast else 0.13) * (np.sin(2 * np.pi * (route.s_m / wavelength_m + rng.uniform())) - 1.0)
-    lateral_limit = rng.uniform(0.8, 2.0)
+        flow += (0.02 if fast else 0.055) * (np.sin(2 * np.pi * (route.s_m / wavelength_m + rng.uniform())) - 1.0)
+    lateral_limit = rng.uniform(0.6, 1.4)
     limit = np.minimum(cruise_mps * flow, np.sqrt(lateral_limit / np.maximum(np.abs(route.curvature_pm), 1e-4)))
 
     stops: dict[int, float] = {}
     if not fast:
         for stop_m in route.stops_m[1:]:
-            if rng.uniform() < 0.27:
+            if rng.uniform() < 0.25:
                 stops[round(stop_m / STEP_M)] = 1.5 + rng.exponential(4.0)
     if situation in STANDING:
         stops[round(route.stops_m[int(rng.integers(1, 5))] / STEP_M)] = 2.0 + seconds + rng.exponential(4.0)
-    acceleration, braking = rng.uniform(0.8, 1.6), rng.uniform(0.9, 1.7)
+    acceleration, braking = rng.uniform(0.7, 1.6), rng.uniform(0.5, 1.3)
     speed = _within_limits(limit, list(stops), acceleration, braking)
 
     step_s = 2.0 * STEP_M / np.maximum(speed[1:] + speed[:-1], 1e-3)
@@ -168,7 +180,9 @@ def _smoothed(speed: FloatArray) -> tuple[FloatArray, FloatArray]:
     return distance, smooth
 
 
-def _cuts(route: Route, situation: str, seconds: float, time_s: FloatArray, s_m: FloatArray) -> NDArray[np.intp]:
+def _cuts(
+    route: Route, situation: str, in_turn: bool, seconds: float, time_s: FloatArray, s_m: FloatArray
+) -> NDArray[np.intp]:
     """Samples at which the scene may begin."""
     start = time_s[(time_s >= MARGIN_S) & (time_s <= time_s[-1] - seconds - MARGIN_S)]
     first_m = np.interp(start, time_s, s_m)
@@ -182,6 +196,10 @@ def _cuts(route: Route, situation: str, seconds: float, time_s: FloatArray, s_m:
             needed_m = turn_last_m if seconds >= 15 else turn_first_m + 1.0
             turning |= (first_m < turn_first_m) & (needed_m < first_m + moved_m)
         good &= turning
+    if in_turn:
+        first_rad, last_rad = (np.interp(s, route.s_m, route.course_rad) for s in (first_m, first_m + moved_m))
+        turned = np.abs(last_rad - first_rad)
+        good &= (_CUT_IN_TURN_RAD[0] < turned) & (turned < _CUT_IN_TURN_RAD[1])
     return np.searchsorted(time_s, start[good])
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -12,8 +13,9 @@ from mixo_env.simulator.mesh import GROUND, SOLID
 from mixo_env.simulator.vehicles import VEHICLE_KINDS, VehicleState
 
 _FIELD = (1 << 21) - 1
-_RUN = 4
+_RUN = 8
 _FIRST_REACH_M = 25.0
+_LEAST_SHARE = 3  # of 256; less mirror is not seen
 
 
 @njit(cache=True, error_model="numpy")
@@ -21,7 +23,7 @@ def mirror_road(radiance, owner, depth, mark, rotation, position, lens, clouds, 
     """Blend into the road what it mirrors, found in the picture itself.
 
     The mirrored ray leaves the road at P in the direction d' (d with its vertical part reversed). The picture is read
-    where P + s d' is seen; s is first a guess, then such that the depth agrees with the surface seen there. Four
+    where P + s d' is seen; s is first a guess, then such that the depth agrees with the surface seen there. Eight
     neighbouring pixels share one search.
 
     Args:
@@ -58,6 +60,14 @@ def mirror_road(radiance, owner, depth, mark, rotation, position, lens, clouds, 
             grazing = 1.0 - min(abs(rise * norm), 1.0)
             fresnel = 0.02 + 0.98 * grazing**5
             rx, ry, rz = dx - 2.0 * rise * up0, dy - 2.0 * rise * up1, 1.0 - 2.0 * rise * up2
+            # Where water stands the mirror is clear, elsewhere the road's roughness scatters most of it.
+            wx = position[0] + z * (rotation[0, 0] * dx + rotation[1, 0] * dy + rotation[2, 0])
+            wy = position[1] + z * (rotation[0, 1] * dx + rotation[1, 1] * dy + rotation[2, 1])
+            water = clouds[int(wy * 9.0) & 511, int(wx * 9.0) & 511] * (1.0 / 255.0)
+            share = int(256.0 * wetness * fresnel * (0.35 + 0.65 * min(2.0 * water, 1.0)))
+            if share < _LEAST_SHARE:
+                x = end
+                continue
             reach = _FIRST_REACH_M
             column, line = -1, -1
             for _ in range(2):
@@ -74,11 +84,6 @@ def mirror_road(radiance, owner, depth, mark, rotation, position, lens, clouds, 
                     break
                 seen = depth[line, column]
                 reach = 200.0 if seen <= 0.0 else max((1.0 / seen - z) / rz, 0.3)
-            # Where water stands the mirror is clear, elsewhere the road's roughness scatters most of it.
-            wx = position[0] + z * (rotation[0, 0] * dx + rotation[1, 0] * dy + rotation[2, 0])
-            wy = position[1] + z * (rotation[0, 1] * dx + rotation[1, 1] * dy + rotation[2, 1])
-            water = clouds[int(wy * 9.0) & 511, int(wx * 9.0) & 511] * (1.0 / 255.0)
-            share = int(256.0 * wetness * fresnel * (0.35 + 0.65 * min(2.0 * water, 1.0)))
             for i in range(x, end):
                 other = sky
                 if column >= 0:
@@ -95,7 +100,7 @@ def mirror_road(radiance, owner, depth, mark, rotation, position, lens, clouds, 
 _HALF = (0xFFFFF << 42) | (0xFFFFF << 21) | 0xFFFFF
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", forceinline=True, _nrt=False)
 def _mixed(first, second, share):
     """Packed radiance: share / 256 of the second, the rest of the first."""
     r = ((first & _FIELD) * (256 - share) + (second & _FIELD) * share) >> 8
@@ -162,16 +167,15 @@ def spray_puffs(
         if thrown <= 0.0:
             continue
         size = VEHICLE_KINDS[vehicle.kind]
-        heading = np.array([np.cos(vehicle.yaw_rad), np.sin(vehicle.yaw_rad), 0.0])
-        left = np.array([-heading[1], heading[0], 0.0])
-        centre = np.array([vehicle.x_m, vehicle.y_m, 0.0])
+        c, s = math.cos(vehicle.yaw_rad), math.sin(vehicle.yaw_rad)
         for age in range(4):
             for side in (-1.0, 1.0):
                 back = 0.5 * size.length_m - 0.4 + 0.9 * age
-                at = centre - back * heading + side * 0.42 * size.width_m * left
-                at[2] = 0.35 + 0.16 * age
+                aside = side * 0.42 * size.width_m
+                x, y = vehicle.x_m - back * c - aside * s, vehicle.y_m - back * s + aside * c
                 radius = (0.5 + 0.3 * age) * (0.7 + 0.3 * size.height_m)
                 drift = 31.0 * (vehicle.x_m + vehicle.y_m) + 57.0 * age + 20.0 * side
-                puffs.append((*(rotation @ (at - position_m)), radius, 0.4 * thrown * 0.8**age, drift % 512.0))
+                puffs.append((x, y, 0.35 + 0.16 * age, radius, 0.4 * thrown * 0.8**age, drift % 512.0))
     out = np.array(puffs).reshape(-1, 6)
+    out[:, :3] = (out[:, :3] - position_m) @ rotation.T
     return out[np.argsort(-out[:, 2], kind="stable")]

@@ -118,7 +118,7 @@ def _not_hidden(farthest, nearest, tiles, chosen):
     return kept[:count]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", forceinline=True, _nrt=False)
 def _rows(corner, fy, cy, height):
     """First and last pixel row that the polygon's part before the camera can touch."""
     lowest, highest = 1e9, -1e9
@@ -135,9 +135,10 @@ def _rows(corner, fy, cy, height):
     return max(0, int(np.ceil(max(lowest, 0.0)))), int(np.floor(min(highest, height - 1.0)))
 
 
-@njit(cache=True, error_model="numpy")
-def _fill(depth, owner, start, step, slot):
+@njit(cache=True, error_model="numpy", forceinline=True, _nrt=False)
+def _fill(depths, owners, row, begin, end, start, step, slot):
     """Keep the nearer of what is there and a span whose 1/z begins at ``start``; unconditional stores run in SIMD."""
+    depth, owner = depths[row, begin : end + 1], owners[row, begin : end + 1]
     first, slope, number = float32(start), float32(step), int32(slot)
     for i in range(depth.shape[0]):
         w, before = first + slope * float32(i), depth[i]
@@ -146,7 +147,7 @@ def _fill(depth, owner, start, step, slot):
         owner[i] = number if nearer else owner[i]
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", forceinline=True, _nrt=False)
 def _fill_cut_out(plane, slot, row, begin, end, number, texels, table, depth, owner):
     """Like the plain fill, but only where the texture covers; one reduction per row."""
     p0, p1, p2 = plane[slot, 0] + plane[slot, 2] * row, plane[slot, 1], plane[slot, 2]
@@ -172,6 +173,12 @@ def _fill_cut_out(plane, slot, row, begin, end, number, texels, table, depth, ow
             if texels[np.uintp(start + (tv << log_w) + tu)] > _OPAQUE:
                 depth[row, column] = float32(w)
                 owner[row, column] = slot
+
+
+@njit(cache=True, error_model="numpy", forceinline=True, _nrt=False)
+def _copy(source, q, target, slot):
+    for j in range(source.shape[1]):
+        target[slot, j] = source[q, j]
 
 
 @njit(cache=True, error_model="numpy")
@@ -201,7 +208,7 @@ def _draw(
             radius = 0.5 * np.sqrt(ax * ax + ay * ay + az * az)
             mx, my, mz = dx + 0.5 * (u0 + v0), dy + 0.5 * (u1 + v1), dz + 0.5 * (u2 + v2)
             z = rotation[2, 0] * mx + rotation[2, 1] * my + rotation[2, 2] * mz
-            if z < NEAR_M - radius or z > far + radius or radius * fx < 0.4 * z:
+            if z < NEAR_M - radius or z > far + radius or radius * fx < 0.6 * z:
                 continue
             if shape & CUT_OUT != 0 and q % 2 == 1 and radius * fx < _SMALL_CARD_PX * z:
                 continue
@@ -265,11 +272,12 @@ def _draw(
                         plane[slot, 3 * j + 1] = a * s1 + b * t1 + c * w1
                         plane[slot, 3 * j + 2] = a * s2 + b * t2 + c * w2
                     plane[slot, 6], plane[slot, 7], plane[slot, 8] = w0, w1, w2
-                    style[slot], mark[slot] = look[q], tag[q]
+                    _copy(look, q, style, slot)
+                    _copy(tag, q, mark, slot)
                 if shape & CUT_OUT != 0:
                     _fill_cut_out(plane, slot, row, begin, end, tag[q, 2], texels, table, depth, owner)
                     continue
-                _fill(depth[row, begin : end + 1], owner[row, begin : end + 1], w0 + w2 * row + w1 * begin, w1, slot)
+                _fill(depth, owner, row, begin, end, w0 + w2 * row + w1 * begin, w1, slot)
             if taken:
                 slot += 1
     return slot

@@ -100,7 +100,7 @@ class Renderer:
         self._fleet = Fleet(world, shadows=self.weather.sun > 0.0)
         self._daylight = world.sunlight, even_cells(world.sunlight), world.shadow_height
         grain = world.detail, world.detail_start
-        self._textures = world.texels, world.table, *grain, world.sky, world.ground_texels_per_m
+        self._textures = world.texels, world.table, *grain, world.sky.ravel(), world.ground_texels_per_m
         self._no_lamps = np.zeros((1, 1), np.float32), np.zeros(2)
         w, unit = self.weather, RADIANCE_UNIT
         self._light = np.array(

@@ -32,6 +32,12 @@ SWERVE_EVERY_M = 60.0
 MAX_OFFSET_M = 1.0
 """The rear axle stays this close to the middle of its lane."""
 
+PASSING_M = 1.25
+"""A vehicle that stands in the lane, close to the parked ones, is passed with this offset to the left."""
+
+_PASSING_HALF_M = 5.0  # the offset is held this long before and after the vehicle's centre ...
+_PASSING_RAMP_M = 19.0  # ... and built up over this length
+_PASSING_EXTRA_M = 700.0 / 429.0 * PASSING_M**2 / _PASSING_RAMP_M  # what the detour is longer than the straight way
 _MARGIN_BLOCKS = 0.7  # routes keep this far inside the city's edge, so that there are houses on both sides
 _RAMP_M = 7.0  # length over which the curvature builds up
 _RADIUS_M = {LEFT: (10.0, 16.0), RIGHT: (7.0, 9.5)}
@@ -49,6 +55,7 @@ class Route:
         curvature_pm: ``(n,)`` d(course)/ds [1/m], positive to the left.
         stops_m: arc lengths of the stop lines.
         turns_m: first and last arc length of every turn.
+        passed_m: arc lengths beside the vehicles that stand in the lane.
     """
 
     s_m: FloatArray
@@ -58,6 +65,7 @@ class Route:
     curvature_pm: FloatArray
     stops_m: tuple[float, ...]
     turns_m: tuple[tuple[float, float], ...]
+    passed_m: tuple[float, ...]
 
     def at(self, s_m: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
         """x, y and course at arc lengths; straight on beyond both ends."""
@@ -68,7 +76,9 @@ class Route:
         return x, y, course
 
 
-def plan_route(rng: np.random.Generator, moves: Sequence[int], speed_mps: float, tight: bool = False) -> Route:
+def plan_route(
+    rng: np.random.Generator, moves: Sequence[int], speed_mps: float, tight: bool = False, passing: float = 0.0
+) -> Route:
     """A path through the crossings ``moves`` (LEFT, STRAIGHT, RIGHT), somewhere in the city.
 
     Args:
@@ -76,12 +86,16 @@ def plan_route(rng: np.random.Generator, moves: Sequence[int], speed_mps: float,
         moves: what to do at each crossing; at most seven fit into the city.
         speed_mps: usual speed; a driver corrects the car's place in the lane every few seconds, not metres.
         tight: turn with the smallest radius.
+        passing: probability of a vehicle in the way in each block but the first.
     """
     pieces: list[FloatArray] = []
-    stops, turns = [], []
+    stops, turns, passed = [], [], []
     start_m = rng.uniform(0.35, 0.95) * BLOCK_M  # from the start to the centre of the first crossing
     length_m, to_crossing_m = 0.0, start_m
-    for move in moves:
+    for number, move in enumerate(moves):
+        if number and rng.uniform() < passing:  # in the middle of the block, clear of turns
+            passed.append(length_m + to_crossing_m - 0.5 * BLOCK_M + rng.uniform(-4.0, 4.0))
+            to_crossing_m += _PASSING_EXTRA_M
         stops.append(length_m + to_crossing_m - STOP_BEFORE_CROSSING_M)
         if move == STRAIGHT:
             pieces.append(np.zeros(_samples(to_crossing_m)))
@@ -99,6 +113,10 @@ def plan_route(rng: np.random.Generator, moves: Sequence[int], speed_mps: float,
     curvature = np.concatenate(pieces)
     s = STEP_M * np.arange(len(curvature), dtype=np.float64)
     offset_m = _lane_keeping(rng, s, curvature, speed_mps)
+    for centre_m in passed:
+        near_m = _PASSING_HALF_M + _PASSING_RAMP_M - np.abs(s - centre_m)
+        part = np.clip(near_m / _PASSING_RAMP_M, 0.0, 1.0)
+        offset_m += part**4 * (35.0 - 84.0 * part + 70.0 * part**2 - 20.0 * part**3) * (PASSING_M - offset_m)
     offset_slope = np.gradient(offset_m, STEP_M)
 
     course = _integrated(curvature) + offset_slope
@@ -115,6 +133,7 @@ def plan_route(rng: np.random.Generator, moves: Sequence[int], speed_mps: float,
         curvature + np.gradient(offset_slope, STEP_M),
         tuple(stops),
         tuple(turns),
+        tuple(passed),
     )
 
 
@@ -131,7 +150,7 @@ def _turn(radius_m: float) -> tuple[FloatArray, float]:
 def _lane_keeping(rng: np.random.Generator, s: FloatArray, curvature: FloatArray, speed_mps: float) -> FloatArray:
     """How far left of the middle of its lane the car drives [m]: wandering slowly, fading out towards turns."""
     offset = np.zeros_like(s)
-    for shortest_s, longest_s, amplitude_m in ((4.5, 6.0, 0.07), (6.5, 9.0, 0.18), (10.0, 14.0, 0.3)):
+    for shortest_s, longest_s, amplitude_m in ((4.5, 6.0, 0.04), (6.5, 9.0, 0.1), (10.0, 14.0, 0.25)):
         wavelength_m = max(speed_mps, 5.0) * rng.uniform(shortest_s, longest_s)
         amplitude = amplitude_m * np.clip(rng.normal(1.0, 0.5), 0.2, 2.0)
         offset += amplitude * np.sin(2.0 * np.pi * (s / wavelength_m + rng.uniform()))

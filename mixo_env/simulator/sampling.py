@@ -1,6 +1,10 @@
 """Reading textures, shadow maps and lamp maps at one point: the innermost loops of the renderer.
 
 Texel coordinates are whole numbers in units of 1/65536 texel where a loop steps along them.
+
+These functions, and the short loops of the other modules of the renderer, are compiled into their callers
+(``forceinline``) and do not count references to arrays (``_nrt=False``): for a run of twenty pixels the counting cost
+as much as the arithmetic. Such a function may cut arrays into views, but must neither make nor return one.
 """
 
 from __future__ import annotations
@@ -19,24 +23,11 @@ HALF_EXTENT_M = 0.5 * EXTENT_M
 PICTURE_MASK = int(EXTENT_M * PICTURE_TEXELS_PER_M) - 1
 
 _FIELD_MASK = int(EXTENT_M * FIELD_TEXELS_PER_M) - 1
-_U8, _U48 = np.uint64(8), np.uint64(48)
+_U8 = np.uint64(8)
 _LANES = np.uint64(0x00FF00FF00FF00FF)
 
 
-def _grain_weights() -> NDArray[np.uint64]:
-    """Bilinear weights of sum 256 for 16 x 16 positions between four texels, ready for :func:`_grain`."""
-    b, a = np.mgrid[0:16, 0:16].astype(np.uint64) * np.uint64(16)
-    one, byte = np.uint64(256), np.uint64(8)
-    last = (a * b) >> byte
-    second, third = a - last, b - last
-    first = one - last - second - third
-    return (first << np.uint64(48) | second << np.uint64(32) | third << np.uint64(16) | last).ravel()
-
-
-_WEIGHTS = _grain_weights()
-
-
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", forceinline=True, _nrt=False)
 def bilinear4(texels, start, log_w, mask_u, mask_v, u, v):
     """Four channels of a texture at texel coordinates (u, v) in 1/65536, as lanes of 0..255."""
     a, b = (u >> 8) & 255, (v >> 8) & 255
@@ -54,7 +45,7 @@ def bilinear4(texels, start, log_w, mask_u, mask_v, u, v):
     return (lanes >> _U8) & _LANES
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", forceinline=True, _nrt=False)
 def bilinear1(image, u, v, mask):
     """One channel of a square repeating image at (u, v)."""
     floor_u, floor_v = np.floor(u), np.floor(v)
@@ -66,19 +57,20 @@ def bilinear1(image, u, v, mask):
     return upper * (1.0 - b) + lower * b
 
 
-@njit(cache=True, error_model="numpy")
-def grain(detail, start, log, u, v):
-    """Fine grain at (u, v) in 1/65536 texels of a reduction 2^log wide; 0..255 * 256.
-
-    The four neighbours and their weights lie in opposite lanes: the top lane of the product is the weighted sum, and
-    as weights sum to 256, no lane overflows.
-    """
+@njit(cache=True, error_model="numpy", forceinline=True, _nrt=False)
+def grain(tiles, start, log, u, v):
+    """Fine grain at (u, v) in 1/65536 texels of the tile, 2^log wide, that begins at ``start``; 0..255 * 256."""
     mask = (1 << log) - 1
-    word = detail[np.uintp(start + (((v >> 16) & mask) << log) + ((u >> 16) & mask))]
-    return np.int64((word * _WEIGHTS[np.uintp((((v >> 12) & 15) << 4) | ((u >> 12) & 15))]) >> _U48)
+    a, b = (u >> 12) & 15, (v >> 12) & 15
+    u0, v0 = (u >> 16) & mask, (v >> 16) & mask
+    u1 = (u0 + 1) & mask
+    here, below = start + (v0 << log), start + (((v0 + 1) & mask) << log)
+    upper = np.int64(tiles[np.uintp(here + u0)]) * (16 - a) + np.int64(tiles[np.uintp(here + u1)]) * a
+    lower = np.int64(tiles[np.uintp(below + u0)]) * (16 - a) + np.int64(tiles[np.uintp(below + u1)]) * a
+    return upper * (16 - b) + lower * b
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", forceinline=True, _nrt=False)
 def bytes_at(image, mask, u, v):
     """One channel of a square repeating image of bytes at (u, v) in 1/65536 texels; 0..255 * 65536."""
     a, b = (u >> 8) & 255, (v >> 8) & 255
@@ -89,7 +81,7 @@ def bytes_at(image, mask, u, v):
     return upper * (256 - b) + lower * b
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", forceinline=True, _nrt=False)
 def level(ratio):
     """Reduction whose texels match ``ratio`` texels a pixel: round(log2(ratio))."""
     return (
@@ -106,7 +98,7 @@ def level(ratio):
     )
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", forceinline=True, _nrt=False)
 def above_shadow(field, x, y, z):
     """Share of the sun that houses leave at a point: four soft comparisons, interpolated."""
     u, v = (x + HALF_EXTENT_M) * FIELD_TEXELS_PER_M - 0.5, (y + HALF_EXTENT_M) * FIELD_TEXELS_PER_M - 0.5
@@ -121,7 +113,7 @@ def above_shadow(field, x, y, z):
     return (c00 * (1.0 - a) + c01 * a) * (1.0 - b) + (c10 * (1.0 - a) + c11 * a) * b
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", forceinline=True, _nrt=False)
 def lamp_light(lamps, corner_x, corner_y, beam, x, y, z, up, rx, ry, rz):
     """Light of street lamps and of the car's own head lights.
 

@@ -14,6 +14,8 @@ _BEND = float32(0.35)
 _RISE = float32((1.0 + 0.35 * _WHITE - _WHITE) / _WHITE**2)
 _EDGE = float32(1.15)  # ratio of depths at an edge
 _FIELD = (1 << 21) - 1
+_STRETCH = 16
+_ALIKE = 12  # sixteenths of a pixel
 
 
 @njit(cache=True, error_model="numpy")
@@ -48,19 +50,18 @@ def spread_motion(depth, owner, flow):
                 flow[0, y, column], flow[1, y, column] = du, dv
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", forceinline=True, _nrt=False)
 def _nearest(flat, x, y, width, right, bottom):
     """Radiance at (x, y) in 1/65536 pixels, at the border the nearest one."""
     return flat[np.uintp((min(max(y, 0), bottom) >> 16) * width + (min(max(x, 0), right) >> 16))]
 
 
-@njit(cache=True, error_model="numpy")
-def _smear(radiance, flow, y, words, scales):
-    """Average row ``y`` along each pixel's motion: sums into ``words``, their divisors into ``scales``."""
-    height, width = radiance.shape
-    flat = radiance.reshape(height * width)
+@njit(cache=True, error_model="numpy", forceinline=True, _nrt=False)
+def _smear_pixels(flat, shape, flow, y, begin, stop, words, scales):
+    """Average the pixels ``begin`` to ``stop`` of row ``y`` one by one; see :func:`_smear`."""
+    height, width = shape
     right, bottom = (width << 16) - 1, (height << 16) - 1
-    for x in range(width):
+    for x in range(begin, stop):
         du, dv = flow[0, y, x], flow[1, y, x]
         length = max(abs(du), abs(dv))
         if length <= float32(1.0):
@@ -74,31 +75,74 @@ def _smear(radiance, flow, y, words, scales):
         ax, ay = int(du * share), int(dv * share)
         px = (x << 16) + 32768 - (ax * (samples - 1) >> 1)
         py = (y << 16) + 32768 - (ay * (samples - 1) >> 1)
-        qx, qy = px + ax * (samples - 1), py + ay * (samples - 1)
-        # The sums are written out: as a loop the compiler would gather four samples where two are wanted.
-        if py >> 16 == qy >> 16 and min(px, qx) >= 0 and max(px, qx) <= right and 0 <= py <= bottom:
-            base = (py >> 16) * width
-            word = flat[np.uintp(base + (px >> 16))] + flat[np.uintp(base + (qx >> 16))]
-            if samples > 2:
-                word += flat[np.uintp(base + ((px + ax) >> 16))]
-            if samples > 3:
-                word += flat[np.uintp(base + ((px + 2 * ax) >> 16))]
-            if samples > 4:
-                word += flat[np.uintp(base + ((px + 3 * ax) >> 16))]
-            if samples > 5:
-                word += flat[np.uintp(base + ((px + 4 * ax) >> 16))]
-        else:
-            word = _nearest(flat, px, py, width, right, bottom) + _nearest(flat, qx, qy, width, right, bottom)
-            if samples > 2:
-                word += _nearest(flat, px + ax, py + ay, width, right, bottom)
-            if samples > 3:
-                word += _nearest(flat, px + 2 * ax, py + 2 * ay, width, right, bottom)
-            if samples > 4:
-                word += _nearest(flat, px + 3 * ax, py + 3 * ay, width, right, bottom)
-            if samples > 5:
-                word += _nearest(flat, px + 4 * ax, py + 4 * ay, width, right, bottom)
+        word = 0
+        for _ in range(samples):
+            word += _nearest(flat, px, py, width, right, bottom)
+            px += ax
+            py += ay
         words[x] = word
         scales[x] *= share * float32(1.0 / 65536.0)
+
+
+@njit(cache=True, error_model="numpy", forceinline=True, _nrt=False)
+def _step(at, width, ax, ay, steps):
+    """Place in the flat picture ``steps`` times (ax, ay) from ``at``, to the nearest pixel."""
+    along, down = int(np.floor(ax * steps + 0.5)), int(np.floor(ay * steps + 0.5))
+    return np.uintp(at + down * width + along)
+
+
+@njit(cache=True, error_model="numpy")
+def _smear(radiance, flow, y, words, scales, motion):
+    """Average row ``y`` along each pixel's motion: sums into ``words``, their divisors into ``scales``.
+
+    Most stretches of ``_STRETCH`` pixels move alike, to less than a pixel or an eighth of the motion: they are summed
+    as a whole, which runs in SIMD. The others, at edges of things that move differently and at the border of the
+    picture, go pixel by pixel.
+    ``motion`` (2, w) is working memory.
+    """
+    height, width = radiance.shape
+    flat = radiance.reshape(height * width)
+    for axis in range(2):
+        exact, coarse = flow[axis, y], motion[axis]
+        for x in range(width):
+            coarse[x] = np.int32(min(max(exact[x], float32(-1000.0)), float32(1000.0)) * float32(16.0))
+    for begin in range(0, width, _STRETCH):
+        stop = min(begin + _STRETCH, width)
+        least_u = most_u = motion[0, begin]
+        least_v = most_v = motion[1, begin]
+        for x in range(begin, stop):
+            u, v = motion[0, x], motion[1, x]
+            least_u, most_u = min(least_u, u), max(most_u, u)
+            least_v, most_v = min(least_v, v), max(most_v, v)
+        if max(max(-least_u, most_u), max(-least_v, most_v)) <= 16:
+            continue
+        du, dv = float32(least_u + most_u) * float32(1.0 / 32.0), float32(least_v + most_v) * float32(1.0 / 32.0)
+        length = max(abs(du), abs(dv))
+        reach = int(0.5 * length) + 1
+        if (
+            max(most_u - least_u, most_v - least_v) > max(_ALIKE, int(2.0 * length))
+            or length > float32(LONGEST_BLUR_PX)
+            or begin < reach
+            or begin + _STRETCH + reach > width
+            or y < reach
+            or y + reach >= height
+        ):
+            _smear_pixels(flat, radiance.shape, flow, y, begin, stop, words, scales)
+            continue
+        if length <= float32(1.0):
+            continue
+        # Always the most samples, at whole pixels: a loop of fixed length without branches runs in SIMD.
+        ax, ay = du * float32(1.0 / MOST_SAMPLES), dv * float32(1.0 / MOST_SAMPLES)
+        at = y * width + begin
+        s0, s1, s2 = _step(at, width, ax, ay, -2.5), _step(at, width, ax, ay, -1.5), _step(at, width, ax, ay, -0.5)
+        s3, s4, s5 = _step(at, width, ax, ay, 0.5), _step(at, width, ax, ay, 1.5), _step(at, width, ax, ay, 2.5)
+        for i in range(_STRETCH):
+            k = np.uintp(i)
+            words[np.uintp(begin) + k] = (
+                flat[s0 + k] + flat[s1 + k] + flat[s2 + k] + flat[s3 + k] + flat[s4 + k] + flat[s5 + k]
+            )
+        for i in range(_STRETCH):
+            scales[np.uintp(begin) + np.uintp(i)] *= float32(1.0 / MOST_SAMPLES)
 
 
 @njit(cache=True, error_model="numpy")
@@ -117,22 +161,26 @@ def expose(radiance, flow, vignette, noise, offset, gain, shot, read, out):
         out: ``(h, w, 3)`` uint8.
     """
     height, width = radiance.shape
-    words, scales, line = np.empty(width, np.int64), np.empty(width, np.float32), np.empty(3 * width, np.float32)
+    words, scales, line = np.empty(width, np.int64), np.empty(width, np.float32), np.empty((3, width), np.uint8)
+    values, motion = np.empty(width, np.float32), np.empty((2, width), np.int32)
     gain, shot, read = float32(gain), float32(shot), float32(read)
     for y in range(height):
         words[:] = radiance[y]
         for x in range(width):
             scales[x] = gain * vignette[y, x]
-        _smear(radiance, flow, y, words, scales)
+        _smear(radiance, flow, y, words, scales, motion)
+        for channel in range(3):  # short loops without branches, so that each runs in SIMD
+            shift, first = 21 * channel, offset[y, 1] + channel * width
+            grain, coded = noise[offset[y, 0], first : first + width], line[channel]
+            for x in range(width):
+                values[x] = scales[x] * float32(np.int32((words[x] >> shift) & _FIELD))
+            for x in range(width):
+                value = values[x]
+                values[x] = max(value + np.sqrt(shot * value + read) * grain[x], float32(0.0))
+            for x in range(width):
+                value = values[x]
+                value = value * (float32(1.0) + value * _RISE) / (float32(1.0) + value * _BEND)
+                coded[x] = np.uint8(np.int32(min(float32(255.0) * np.sqrt(value) + float32(0.5), float32(255.0))))
+        target, red, green, blue = out[y].reshape(3 * width), line[0], line[1], line[2]
         for x in range(width):
-            line[3 * x] = scales[x] * float32(words[x] & _FIELD)
-            line[3 * x + 1] = scales[x] * float32((words[x] >> 21) & _FIELD)
-            line[3 * x + 2] = scales[x] * float32(words[x] >> 42)
-        grain = noise[offset[y, 0], offset[y, 1] : offset[y, 1] + 3 * width]
-        target = out[y].reshape(3 * width)
-        for i in range(3 * width):  # without branches, so that it runs in SIMD
-            value = line[i]
-            value += np.sqrt(shot * value + read) * grain[i]
-            value = max(value, float32(0.0))
-            value = value * (float32(1.0) + value * _RISE) / (float32(1.0) + value * _BEND)
-            target[i] = np.uint8(min(float32(255.0) * np.sqrt(value) + float32(0.5), float32(255.0)))
+            target[3 * x], target[3 * x + 1], target[3 * x + 2] = red[x], green[x], blue[x]

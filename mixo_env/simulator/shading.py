@@ -43,19 +43,20 @@ _HALF = 32768
 _GRAIN_UNIT = 1.0 / (255.0 * 256.0)
 _BYTE_UNIT = 1.0 / (255.0 * _ONE)
 _DETAIL_LOG = DETAIL_SIDE.bit_length() - 1
+_SKY_LOG = 9
 _LAST_DETAIL = 5
 _EVEN_SPAN_TEXELS = 6.0
 _OFF_WALL_M = 0.8  # shadows are looked up this far off a surface, or every wall would shade itself
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", forceinline=True, _nrt=False)
 def _ramp(start, step, out):
     first, slope = float32(start), float32(step)
     for i in range(out.shape[0]):
         out[i] = first + slope * float32(i)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", forceinline=True, _nrt=False)
 def _sky_point(x, row, camera, turn):
     """One pixel of the sky.
 
@@ -76,9 +77,31 @@ def _sky_point(x, row, camera, turn):
     return wx * scale, wy * scale, min(2.0 * up, 1.0), 2.0 * (u - x), 2.0 * (v - row)
 
 
-@njit(cache=True, error_model="numpy")
-def _sky_run(row, begin, stop, camera, light, sky, turn, out, flow):
+@njit(cache=True, error_model="numpy", forceinline=True, _nrt=False)
+def _blend_sky(sky, steps, high, rise, contrast, tones, specks, out):
+    """Packed radiance of a span of sky: haze below, zenith above, clouds a little brighter than the haze is red."""
+    u, v, step_u, step_v = steps
+    haze0, haze1, haze2, top0, top1, top2 = tones
+    white, most = float32(1.25) * haze0, float32(RADIANCE_TOP)
+    for i in range(out.shape[0]):
+        specks[i] = grain(sky, 0, _SKY_LOG, u + i * step_u, v + i * step_v)
+    for i in range(out.shape[0]):
+        cloud = contrast * float32(specks[i])
+        share = (high + rise * float32(i)) * (float32(1.0) - cloud)
+        keep, glow = float32(1.0) - cloud - share, white * cloud
+        r, g = haze0 * keep + top0 * share + glow, haze1 * keep + top1 * share + glow
+        b = haze2 * keep + top2 * share + glow
+        out[i] = np.int64(min(r, most)) | np.int64(min(g, most)) << 21 | np.int64(min(b, most)) << 42
+
+
+@njit(cache=True, error_model="numpy", forceinline=True, _nrt=False)
+def _sky_run(row, begin, stop, camera, light, textures, motion, memory, out, flow):
     """Clouds on a plane between clear sky and haze; they move with the camera's rotation only."""
+    sky, turn, specks = textures[4], motion[0], memory[2]
+    tones = (
+        float32(light[3]), float32(light[4]), float32(light[5]),
+        float32(light[6]), float32(light[7]), float32(light[8]),
+    )  # fmt: skip
     x = begin
     while x < stop:
         end = min(x + SPAN, stop)
@@ -88,22 +111,16 @@ def _sky_run(row, begin, stop, camera, light, sky, turn, out, flow):
         gu, gv = int(u * _ONE), int(v * _ONE)
         du, dv = int((eu - u) * inverse * _ONE), int((ev - v) * inverse * _ONE)
         ehigh, efu, efv = (ehigh - high) * inverse, (efu - fu) * inverse, (efv - fv) * inverse
-        for column in range(x, end):
-            i = column - x
-            cloud = light[9] * bytes_at(sky, 511, gu + i * du, gv + i * dv) * _BYTE_UNIT
-            share = (high + ehigh * i) * (1.0 - cloud)
-            white = light[3] * 1.25 * cloud
-            keep = 1.0 - cloud - share
-            r = int(light[3] * keep + light[6] * share + white)
-            g = int(light[4] * keep + light[7] * share + white)
-            b = int(light[5] * keep + light[8] * share + white)
-            out[row, column] = min(r, RADIANCE_TOP) | min(g, RADIANCE_TOP) << 21 | min(b, RADIANCE_TOP) << 42
+        _blend_sky(
+            sky, (gu, gv, du, dv), float32(high), float32(ehigh), float32(light[9] * _GRAIN_UNIT), tones, specks,
+            out[row, x:end],
+        )  # fmt: skip
         _ramp(fu, efu, flow[0, row, x:end])
         _ramp(fv, efv, flow[1, row, x:end])
         x = end
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", forceinline=True, _nrt=False)
 def _fetch(texels, place, steps, taps, out):
     """Texture along a span: the sum of ``taps`` samples for every pixel."""
     start, log_w, mask_u, mask_v = place
@@ -117,7 +134,7 @@ def _fetch(texels, place, steps, taps, out):
             out[i] += bilinear4(texels, start, log_w, mask_u, mask_v, u + i * step_u, v + i * step_v)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", forceinline=True, _nrt=False)
 def _add_grain(detail, start, log, u, v, step_u, step_v, base, gain, specks, factors):
     """Multiply ``factors`` by the square of the fine grain along a span."""
     for i in range(factors.shape[0]):
@@ -127,7 +144,7 @@ def _add_grain(detail, start, log, u, v, step_u, step_v, base, gain, specks, fac
         factors[i] *= speck * speck
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", forceinline=True, _nrt=False)
 def _colour(lanes, factors, tint0, tint1, tint2, haze0, haze1, haze2, out):
     """Packed radiance of a span: squares of the texture's lanes times tint and light, plus haze."""
     top = float32(RADIANCE_TOP)
@@ -138,7 +155,7 @@ def _colour(lanes, factors, tint0, tint1, tint2, haze0, haze1, haze2, out):
         out[i] = np.int64(min(r, top)) | np.int64(min(g, top)) << 21 | np.int64(min(b, top)) << 42
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", forceinline=True, _nrt=False)
 def _shade_run(row, begin, stop, k, seen, camera, light, textures, daylight, night, motion, memory, out, flow):
     """Shade the pixels ``begin`` to ``stop`` of a row, all of slot ``k``; see :func:`shade`."""
     lanes, scratch, specks = memory
@@ -314,7 +331,7 @@ def shade(seen, camera, light, textures, daylight, night, motion, out, flow):
             metres.
         light: ``(15,)`` ambient, sun, haze per metre, haze colour (3), zenith colour (3), clouds, lamps, wetness,
             colour (3); radiance in units of the integer result.
-        textures: texels and table of the atlas, packed fine grain and the first entry of each of its reductions, the
+        textures: texels and table of the atlas, fine grain and the first entry of each of its reductions, the
             sky, and the texels per metre of the ground.
         daylight: picture of the sunlight on the ground, its ``even_cells``, and the height of the houses' shadow.
         night: light of lamps on the ground (one value a metre, a power of two wide), map position of its corner, and
@@ -335,7 +352,7 @@ def shade(seen, camera, light, textures, daylight, night, motion, out, flow):
             while end < width and owner[row, end] == k:
                 end += 1
             if k < 0:
-                _sky_run(row, x, end, camera, light, textures[4], motion[0], out, flow)
+                _sky_run(row, x, end, camera, light, textures, motion, memory, out, flow)
             else:
                 _shade_run(row, x, end, k, seen, camera, light, textures, daylight, night, motion, memory, out, flow)
             x = end

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixo_env.simulator.drive import Drive
+from mixo_env.simulator.routes import PASSING_M
 from mixo_env.simulator.streets import BLOCK_M, HALF_CITY_BLOCKS, LANE_M
 from mixo_env.simulator.vehicles import COLOURS, VEHICLE_KINDS, VehicleState
 
@@ -28,6 +29,7 @@ REAR_AXLE_TO_REAR_M = CAR_LENGTH_M - REAR_AXLE_TO_FRONT_M
 _RATE_HZ = 20
 _BEYOND_S = 0.5  # vehicles are known this long before and after the scene
 _SIGHT_M = 110.0
+_STANDING_ASIDE_M = 1.5  # who stands in the lane stands this far right of its middle, along the parked cars
 _CLEAR_AHEAD_M, _CLEAR_ASIDE_M = 0.9, 0.15  # room around every vehicle, half of the smallest gap
 _KINDS, _KIND_SHARES = ("sedan", "suv", "van", "truck"), (0.52, 0.26, 0.15, 0.07)
 
@@ -122,6 +124,8 @@ def _candidates(rng: np.random.Generator, drive: Drive, time_s: FloatArray) -> I
     elif rng.uniform() < 0.35:
         yield _in_own_lane(rng, drive, time_s, _kind(rng), -rng.uniform(1.2, 2.5), gap_m=rng.uniform(2.5, 6.0))
 
+    for passed_m in drive.route.passed_m:
+        yield _in_the_way(rng, drive, time_s, passed_m)
     own, crossing = _lanes(drive, time_s)
     for lane in own:
         if situation == "side_queue":
@@ -155,6 +159,14 @@ def _in_own_lane(
     chord = np.arctan2(front_y - rear_y, front_x - rear_x)
     yaw = course + np.angle(np.exp(1j * (chord - course)))
     return Vehicle(kind, _colour(rng), time_s, 0.5 * (front_x + rear_x), 0.5 * (front_y + rear_y), yaw)
+
+
+def _in_the_way(rng: np.random.Generator, drive: Drive, time_s: FloatArray, passed_m: float) -> Vehicle:
+    """A car that stands in the lane where the route swerves around it."""
+    x, y, course = drive.route.at(np.full_like(time_s, passed_m))
+    aside_m = PASSING_M + _STANDING_ASIDE_M
+    kind = str(rng.choice(_KINDS[:2]))
+    return Vehicle(kind, _colour(rng), time_s, x + aside_m * np.sin(course), y - aside_m * np.cos(course), course)
 
 
 def _flow(

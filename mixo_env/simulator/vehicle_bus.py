@@ -40,7 +40,7 @@ class BusSensors:
         imu_tilt_mps2: ``(2,)`` constant share of gravity in the forward and left accelerations (mounting).
         imu_yaw_origin_rad: arbitrary origin of the yaw in ``ms_imu.q``.
         pose_speed_scale, pose_speed_lag_s: ``pose.vel`` follows the wheels, late and a little short.
-        monitor_bias_radps, monitor_speed_scale: of ``vehicle_monitor``.
+        monitor_bias_radps, monitor_speed_scale: of ``vehicle_monitor``, its speed against ``pose.vel``.
         gyro_bias_radps, gyro_scale: of ``production_gyro`` when switched on.
         steering_offset_rad: of the steering wheel.
     """
@@ -73,9 +73,9 @@ def draw_sensors(rng: np.random.Generator, mean_wheel_radius_m: float) -> BusSen
         imu_tilt_mps2=rng.normal((-0.3, 0.0), (0.25, 0.2)),
         imu_yaw_origin_rad=rng.uniform(-np.pi, np.pi),
         pose_speed_scale=rng.uniform(0.982, 1.002),
-        pose_speed_lag_s=rng.uniform(0.06, 0.10),
+        pose_speed_lag_s=rng.uniform(0.09, 0.14),
         monitor_bias_radps=np.radians(rng.normal(-0.18, 0.07)),
-        monitor_speed_scale=rng.uniform(0.999, 1.005),
+        monitor_speed_scale=rng.uniform(0.999, 1.002),
         gyro_bias_radps=np.radians(rng.normal(0.0, 0.15)),
         gyro_scale=rng.normal(1.0, 0.007),
         steering_offset_rad=rng.normal(0.0, 0.03),
@@ -141,6 +141,7 @@ def bus_messages(
 def _ms_imu(bus: _Recorder) -> list[Message]:
     """100 Hz; one message in ten is stamped late and the next one hastens after it."""
     grid = bus.grid_us(10_000)
+    grid = grid[bus.received(len(grid), 0.004)]
     t = bus.seconds(grid)
     drive, sensors = bus.drive, bus.sensors
     yaw_rate = sensors.imu_scale * drive.at("yaw_rate_radps", t) + sensors.imu_bias_radps
@@ -148,12 +149,12 @@ def _ms_imu(bus: _Recorder) -> list[Message]:
         [
             np.gradient(drive.at("roll_rad", t), t) + 0.002 * bus.white(t),
             np.gradient(drive.at("pitch_rad", t), t) + 0.002 * bus.white(t),
-            yaw_rate + 0.003 * bus.shaken(t) + (0.0008 + 0.0006 * bus.shaking(t)) * bus.white(t),
+            yaw_rate + 0.0045 * bus.shaken(t) + (0.0008 + 0.0006 * bus.shaking(t)) * bus.white(t),
         ],
         axis=1,
     )
     sideways = drive.at("speed_mps", t) * drive.at("yaw_rate_radps", t)
-    noise = (0.02 + 0.1 * bus.shaking(t)) * bus.rng.standard_normal((3, len(t)))
+    noise = (0.02 + np.array([[0.1], [0.1], [0.2]]) * bus.shaking(t)) * bus.rng.standard_normal((3, len(t)))
     tilted = sensors.imu_tilt_mps2
     accelerations = np.stack(
         [
@@ -212,7 +213,7 @@ def _wheel_rpm(bus: _Recorder, time_s: FloatArray) -> FloatArray:
     front = WHEELBASE_M * yaw_rate
     rolled = np.stack([np.hypot(left, front), np.hypot(right, front), left, right], axis=1)
     moving = np.minimum(speed / 2.0, 1.0)[:, None]
-    common = 0.012 * bus.shaken(time_s)[:, None]
+    common = 0.022 * bus.shaken(time_s)[:, None]
     rolled = rolled + moving * (common + 0.010 * bus.rng.standard_normal(rolled.shape))
     rpm = np.maximum(rolled, 0.0) / bus.sensors.wheel_radius_m * 60.0 / (2.0 * np.pi)
     rpm[speed < 0.05] = 0.0
@@ -261,14 +262,15 @@ def _zoe_veh_info(bus: _Recorder) -> list[Message]:
 def _vehicle_monitor(bus: _Recorder) -> list[Message]:
     """2 Hz, some missing; the yaw rate is averaged over 0.2 s, biased, noisy and rounded to 0.1 deg/s."""
     grid = bus.grid_us(500_000)
-    stamp = grid[bus.received(len(grid), 0.02)]
+    stamp = grid[bus.received(len(grid), 0.025)]
     stamp = stamp + np.rint(400 * bus.rng.standard_normal(len(stamp))).astype(np.int64)
     t = bus.seconds(stamp)
     drive, sensors = bus.drive, bus.sensors
     averaged = (drive.at("yaw_rad", t) - drive.at("yaw_rad", t - 0.2)) / 0.2
     noise_degps = 0.05 * bus.white(t) + 0.2 * bus.shaken(t)
     yaw_rate = np.degrees(averaged + sensors.monitor_bias_radps) + noise_degps
-    speed = 3.6 * (sensors.monitor_speed_scale * drive.at("speed_mps", t) + 0.01 * bus.shaken(t))
+    scale = sensors.monitor_speed_scale * sensors.pose_speed_scale  # both come from the same estimate
+    speed = 3.6 * (scale * drive.at("speed_mps", t) + 0.004 * bus.shaken(t))
     rpm = _wheel_rpm(bus, t - sensors.wheel_latency_s)
     steering = np.degrees(_steering_rad(bus, t))
     steering_speed = (steering - np.degrees(_steering_rad(bus, t - 0.1))) / 0.1

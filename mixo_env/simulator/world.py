@@ -16,7 +16,7 @@ from mixo_env.simulator.materials import city_materials
 from mixo_env.simulator.mesh import Mesh, PatchSet, mesh_of, packed, quad
 from mixo_env.simulator.shadows import EXTENT_M, Shadows
 from mixo_env.simulator.streets import HALF_CITY_BLOCKS
-from mixo_env.simulator.textures import Atlas, detail_tile, lanes, reductions, sky_tile
+from mixo_env.simulator.textures import Atlas, detail_tile, reductions, sky_tile
 from mixo_env.simulator.vehicle_models import ground_aligned, vehicle_models
 
 BlockSide = tuple[int, int, str]
@@ -35,7 +35,7 @@ class World:
         static: patches of everything that never moves.
         vehicles: meshes of vehicles by kind and colour, x forward, origin at the centre on the ground.
         texels, table: packed atlas, see ``Atlas.packed``.
-        detail: fine-grain tile with reductions; each entry packs the 2 x 2 neighbourhood that one interpolation needs.
+        detail: fine-grain tile with reductions, bytes one after the other.
         detail_start: first entry of each reduction.
         sky: clouds, ``(512, 512)`` bytes.
         sunlight: ``(4096, 4096)`` sunlight on the ground, bytes.
@@ -50,7 +50,7 @@ class World:
     vehicles: dict[tuple[str, int], Mesh]
     texels: NDArray[np.uint64]
     table: NDArray[np.int64]
-    detail: NDArray[np.uint64]
+    detail: NDArray[np.uint8]
     detail_start: NDArray[np.int64]
     sky: NDArray[np.uint8]
     sunlight: NDArray[np.uint8]
@@ -59,18 +59,11 @@ class World:
     ground_texels_per_m: float
 
 
-def packed_detail(tile: NDArray[np.uint8]) -> tuple[NDArray[np.uint64], NDArray[np.int64]]:
-    """Fine grain with all reductions, and where each reduction starts.
-
-    Every texel comes with its right, lower and lower right neighbours in 16-bit lanes.
-    """
-    parts = []
-    for level in reductions(tile):
-        right, below = np.roll(level, -1, axis=1), np.roll(level, -1, axis=0)
-        corners = np.stack([level, right, below, np.roll(right, -1, axis=0)], axis=-1)
-        parts.append(lanes(corners).ravel())
-    start = np.concatenate([[0], np.cumsum([part.size for part in parts[:-1]])]).astype(np.int64)
-    return np.concatenate(parts), start
+def grain_levels(tile: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
+    """Fine grain with all reductions in one row, and where each reduction starts."""
+    levels = reductions(tile)
+    start = np.concatenate([[0], np.cumsum([level.size for level in levels[:-1]])]).astype(np.int64)
+    return np.concatenate([level.ravel() for level in levels]), start
 
 
 def lamp_light(lamps: NDArray[np.float64]) -> NDArray[np.float32]:
@@ -139,7 +132,7 @@ def build_world(
     city.groups.append(ground_aligned(road, ground_per_m))
     _blocks(city, seed, half_blocks, set(blank_sides))
 
-    detail, detail_start = packed_detail(detail_tile(texture_rng))
+    detail, detail_start = grain_levels(detail_tile(texture_rng))
     texels, table = atlas.packed()
     return World(
         seed=seed,
