@@ -1,12 +1,16 @@
 # Two commands do everything on a fresh machine, virtual environment included: `make benchmark` and `make test`.
 PYTHON ?= python3
 BIN := .venv/bin
+WORKERS ?= 2
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: benchmark test integration lint types unit format clean
+.PHONY: benchmark mixocity test integration lint types unit format clean
 
 benchmark: .venv/installed  ## the leaderboard on the bundled recordings
 	$(BIN)/mixo benchmark
+
+mixocity: .venv/installed  ## the bundled recordings anew, from nothing: hours; resumable
+	$(BIN)/python -m experiments.mixocity --workers $(WORKERS)
 
 test: lint types unit  ## what every change must pass
 

@@ -15,6 +15,7 @@ from baselines.robust import Huber, Mean, Median
 from baselines.single import Single
 from mixo_env.errors import ConfigurationError, PolicyError, unknown
 from mixo_env.recordings.collection import Recordings
+from mixo_env.recordings.variants import variants
 
 POLICIES: dict[str, type[Policy]] = {
     policy.name: policy
@@ -24,21 +25,24 @@ POLICIES: dict[str, type[Policy]] = {
 
 
 def names(recordings: Recordings) -> tuple[str, ...]:
-    """All policies that can be scored on ``recordings``, in the order of the tables."""
+    """All policies that can be scored on ``recordings``, in the order of the tables; variants follow their camera."""
     manifest = recordings.manifest
-    return (*manifest.inertial, *manifest.imported, *manifest.cameras, *POLICIES)
+    of = variants(recordings)
+    cameras = [name for camera in manifest.cameras for name in (camera, *(v for v in of if of[v] == camera))]
+    return (*manifest.inertial, *manifest.imported, *cameras, *POLICIES)
 
 
 def create(name: str, recordings: Recordings) -> Policy:
-    """A new, unfitted policy.
+    """A new, unfitted policy; a variant's is that of its camera, to be played on ``as_variant(recordings, name)``.
 
     Raises:
         ConfigurationError: for an unknown name.
     """
     if name in POLICIES:
         return POLICIES[name]()
-    if name in recordings.experts:
-        return Single(name)
+    alone = variants(recordings).get(name, name)
+    if alone in recordings.experts:
+        return Single(alone)
     raise ConfigurationError(unknown("policy", name, names(recordings)))
 
 

@@ -14,6 +14,7 @@ from baselines.playing import play
 from baselines.policy import Policy
 from mixo_env.envs.replay import Replay
 from mixo_env.experts.expert import State
+from mixo_env.experts.monocular.config import MonocularConfig
 from mixo_env.fusion import dead_reckon
 from mixo_env.metrics.absolute import SceneAbsolute, absolute_errors_se2, scene_absolute
 from mixo_env.metrics.pairs import PairRule, Pairs, find_pairs, path_length
@@ -21,6 +22,7 @@ from mixo_env.metrics.relative import RelativeSamples, relative_errors_se2
 from mixo_env.metrics.tracks import LostTracks, count_lost_tracks
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.schema import VehicleConstants
+from mixo_env.recordings.vehicles import travelled_m
 
 FloatArray = NDArray[np.float64]
 
@@ -72,9 +74,8 @@ def with_wheels(recordings: Recordings, yaw_increment_rad: FloatArray) -> Motion
     vehicles = recordings.manifest.vehicles
     constants = [vehicles.get(scene.vehicle, VehicleConstants()) for scene in recordings.scenes]
     rows = np.diff(recordings.offsets)
-    scale = np.repeat([vehicle.wheel_scale for vehicle in constants], rows)
     course_offset = np.repeat([vehicle.course_offset_rad for vehicle in constants], rows)
-    return Motion(yaw_increment_rad, recordings["distance_m"] * scale, course_offset)
+    return Motion(yaw_increment_rad, travelled_m(recordings), course_offset)
 
 
 def perfect_yaw(recordings: Recordings) -> Motion:
@@ -163,19 +164,48 @@ class Course:
         )
 
 
-def lost_tracks(recordings: Recordings, name: str) -> LostTracks | None:
+def lost_tracks(recordings: Recordings, name: str, *, instantly: bool = False) -> LostTracks | None:
     """Lost tracks behind a row of the leaderboard.
 
     A camera's own for its row, ``None`` for inertial and imported experts and for floors, which have no track to lose;
     for everything else the times when no camera was tracking.
+
+    Args:
+        recordings: all scenes.
+        name: of the row.
+        instantly: as if every camera tracked again with its first good pair of images.
     """
     cameras = recordings.manifest.cameras
     if name in FLOORS or (name in recordings.experts and name not in cameras):
         return None
+    tracking = instantly_tracking if instantly else _tracking
     if name in cameras:
         state = recordings[f"{name}.state"]
         return count_lost_tracks(
-            state == State.TRACKING, recordings.offsets, lost=state == State.LOST, observed=state != State.NO_IMAGE
+            tracking(recordings, name),
+            recordings.offsets,
+            lost=state == State.LOST,
+            observed=state != State.NO_IMAGE,
         )
-    tracking = np.any([recordings[f"{camera}.state"] == State.TRACKING for camera in cameras], axis=0)
-    return count_lost_tracks(tracking, recordings.offsets)
+    return count_lost_tracks(np.any([tracking(recordings, c) for c in cameras], axis=0), recordings.offsets)
+
+
+def _tracking(recordings: Recordings, camera: str) -> NDArray[np.bool_]:
+    return recordings[f"{camera}.state"] == State.TRACKING
+
+
+def instantly_tracking(recordings: Recordings, camera: str) -> NDArray[np.bool_]:
+    """``(rows,)`` where a camera would track with ``initial_pairs=1, initial_distance_m=0``: instant re-initialisation.
+
+    No second run is needed: a good pair of images never leaves a camera LOST, so the states tell good pairs from bad
+    ones, and the matches tell which of them could have begun a track.
+    """
+    state, matches = recordings[f"{camera}.state"], recordings[f"{camera}.matches"]
+    settings = recordings.manifest.parameters.get("monocular", {})
+    least = settings.get("initial_matches", MonocularConfig().initial_matches)
+    row = np.arange(len(state))
+    good = ((state == State.TRACKING) | (state == State.INITIALISING)) & (matches > 0)
+    broken = ~good & (state != State.NO_IMAGE)
+    broken[recordings.offsets[:-1]] = True  # a scene starts without a track
+    begun, ended = (np.maximum.accumulate(np.where(at, row, -1)) for at in (good & (matches >= least), broken))
+    return good & (begun > ended)

@@ -18,6 +18,7 @@ from mixo_env.metrics.bootstrap import Interval, interval_over_groups
 from mixo_env.metrics.tracks import LostTracks
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.schema import TRACKS
+from mixo_env.recordings.variants import as_variant, variants
 
 ONE_FOLD = ("PPO",)
 """Policies too slow to train for every fold: they are tested on the last one only, and compared there."""
@@ -59,6 +60,7 @@ class Row:
         errors: per truth, all scenes.
         scores: per truth, on the tested scenes.
         lost: of all scenes; ``None`` where there is no track to lose.
+        lost_instantly: the same if cameras tracked again with the first good pair of images.
         fused: several experts may take part (not one alone).
         votes: false for an expert that has no vote in this track and is shown for reference.
     """
@@ -67,6 +69,7 @@ class Row:
     errors: dict[str, Errors]
     scores: dict[str, Score]
     lost: LostTracks | None
+    lost_instantly: LostTracks | None
     fused: bool
     votes: bool
 
@@ -222,9 +225,11 @@ class Scorer:
         """Measure a run against every truth."""
         errors = {truth: course.measure(run.motion) for truth, course in self._courses.items()}
         scores = {truth: self.score(measured, run.tested) for truth, measured in errors.items()}
-        fused = run.name not in self._recordings.experts
-        votes = fused or run.name in self._recordings.voters(track)
-        return Row(run, errors, scores, lost_tracks(self._recordings, run.name), fused, votes)
+        recordings, alone = as_variant(self._recordings, run.name), variants(self._recordings).get(run.name, run.name)
+        lost, instantly = (lost_tracks(recordings, alone, instantly=instantly) for instantly in (False, True))
+        fused = alone not in recordings.experts
+        votes = fused or run.name in recordings.voters(track)
+        return Row(run, errors, scores, lost, instantly, fused, votes)
 
     def restrict(self, row: Row, scenes: NDArray[np.bool_]) -> Row:
         """The same row scored on some scenes only."""

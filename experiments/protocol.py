@@ -14,6 +14,7 @@ from experiments.evaluation import FLOORS, Motion, rollout, with_wheels
 from mixo_env.errors import PolicyError
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.store import load_recordings
+from mixo_env.recordings.variants import as_variant
 from mixo_env.recordings.vehicles import with_held_out_constants
 
 UNFOLDED = -1
@@ -95,8 +96,9 @@ class Protocol:
             return Run(name, True, False, FLOORS[name](self.recordings), everything, {})
         policy = create(name, self.recordings)
         if not policy.learns:
-            policy.fit(self.recordings, track, seed=self.seed)
-            motion = rollout(policy, self.recordings, track)
+            recordings = as_variant(self.recordings, name)
+            policy.fit(recordings, track, seed=self.seed)
+            motion = rollout(policy, recordings, track)
             return Run(name, policy.privileged, False, motion, everything, {UNFOLDED: policy})
         return self._run_learned(name, track, folds)
 

@@ -18,6 +18,7 @@ from experiments.tables import Table as TextTable
 from mixo_env.geometry import FloatArray
 from mixo_env.metrics.bootstrap import Interval
 from mixo_env.metrics.relative import RelativeSamples
+from mixo_env.metrics.tracks import LostTracks
 from mixo_env.recordings.schema import TRACKS
 
 COLUMNS = ("policy", "RTE %", "RTE deg/m", "ATE m", "ATE deg", "lost/scene", "yaw deg", "> 0.5 m")
@@ -64,6 +65,10 @@ def conventions(board: Leaderboard) -> list[str]:
         f"RTE: mean over all pieces of path, starts 1 m apart; pieces (scenes) per length: {samples}.",
         f"{intervals} {folds}",
     ]
+    instantly = {row.run.name: row for row in board.tables[0].rows if not row.fused and row.lost_instantly}
+    if instantly:
+        counts = ", ".join(f"{name} {_mean_std_text(row, row.lost_instantly)}" for name, row in instantly.items())
+        lines.append(f"Lost per scene if cameras tracked again with the first good pair of images: {counts}.")
     if board.logs < RANKING_LOGS:
         lines.append(f"{size}: enough to see that everything works, claims no ranking (takes {RANKING_LOGS} logs).")
     return lines
@@ -111,7 +116,7 @@ def cells(row: Row, *, intervals: bool = True) -> dict[str, str]:
         "RTE deg/m": _interval(score.rotation_deg_per_m, 4, intervals),
         "ATE m": f"{score.ate_m:.2f}",
         "ATE deg": f"{score.ate_deg:.3f}",
-        "lost/scene": _lost(row),
+        "lost/scene": _mean_std_text(row, row.lost),
         "yaw deg": f"{score.yaw_increment_rmse_deg:.4f}",
         "> 0.5 m": f"{100.0 * score.high_ate_share:.0f} %",
     }
@@ -232,12 +237,13 @@ def _scene_means(samples: RelativeSamples, scenes: int) -> tuple[FloatArray, Flo
 
 
 def _row_json(row: Row) -> dict[str, Any]:
-    lost = None if row.lost is None else _lost_mean_std(row)
+    lost, instantly = (_lost_mean_std(row, lost) for lost in (row.lost, row.lost_instantly))
     return {
         "policy": row.run.name,
         "privileged": row.run.privileged,
         "reference": not row.votes,
         "lost_per_scene": lost and {"mean": lost[0], "std": lost[1]},
+        "lost_per_scene_instantly": instantly and {"mean": instantly[0], "std": instantly[1]},
         "scores": {truth: asdict(score) for truth, score in row.scores.items()},
     }
 
@@ -249,15 +255,15 @@ def _interval(value: Interval, digits: int, with_ends: bool) -> str:
     return f"{value.mean:.{digits}f}{ends}"
 
 
-def _lost(row: Row) -> str:
-    mean_std = _lost_mean_std(row)
+def _mean_std_text(row: Row, lost: LostTracks | None) -> str:
+    mean_std = _lost_mean_std(row, lost)
     return "-" if mean_std is None else f"{mean_std[0]:.2f} ± {mean_std[1]:.2f}"
 
 
-def _lost_mean_std(row: Row) -> tuple[float, float] | None:
-    if row.lost is None:
+def _lost_mean_std(row: Row, lost: LostTracks | None) -> tuple[float, float] | None:
+    if lost is None:
         return None
-    counts = row.lost.counts[row.run.tested]
+    counts = lost.counts[row.run.tested]
     return float(counts.mean()), float(counts.std())
 
 

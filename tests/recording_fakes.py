@@ -85,6 +85,8 @@ class FakeDataset:
 class FakeCamera:
     """The increment is the change of the mean grey level plus a thousandth of the distance; dark means LOST."""
 
+    halvings = 0
+
     def __init__(self, calibration: CameraCalibration) -> None:
         self.previous = math.nan
 

@@ -8,11 +8,12 @@ import pytest
 from mixo_env.errors import RecordingError
 from mixo_env.fusion import dead_reckon
 from mixo_env.recordings.collection import Recordings
-from mixo_env.recordings.vehicles import fit_vehicle_constants
+from mixo_env.recordings.schema import VehicleConstants
+from mixo_env.recordings.vehicles import fit_vehicle_constants, travelled_m
 from tests.synthetic import synthetic_recordings
 
-TRUE = {"n008": (1.006, -0.008), "n015": (0.994, 0.005)}
-"""Vehicle -> wheel scale, course offset in rad."""
+TRUE = {"n008": (1.006, -0.008, 0.04), "n015": (0.994, 0.005, -0.02)}
+"""Vehicle -> wheel scale, course offset in rad, latency in s."""
 
 
 def recordings_of_two_vehicles() -> Recordings:
@@ -22,20 +23,21 @@ def recordings_of_two_vehicles() -> Recordings:
     columns = {name: plain[name].copy() for name in plain.column_names}
     for i, scene in enumerate(scenes):
         rows = slice(plain.offsets[i], plain.offsets[i + 1])
-        scale, offset = TRUE[scene.vehicle]
-        columns["distance_m"][rows] /= scale
+        scale, offset, latency_s = TRUE[scene.vehicle]
+        gained = np.diff(columns["speed_mps"][rows], prepend=columns["speed_mps"][rows][0])
+        columns["distance_m"][rows] = (columns["distance_m"][rows] - latency_s * gained) / scale
         steps = columns["truth.yaw_increment_rad"][rows][1:], columns["truth.distance_m"][rows][1:]
         x, y, _ = dead_reckon(*steps, start=(0, 0, columns["truth.yaw_rad"][rows][0]), course_offset_rad=offset)
         columns["truth.x_m"][rows], columns["truth.y_m"][rows] = x, y
     return Recordings(replace(plain.manifest, scenes=scenes), columns)
 
 
-def test_recovers_both_constants():
+def test_recovers_the_constants():
     found = fit_vehicle_constants(recordings_of_two_vehicles(), TRUE)
-    for vehicle, (scale, offset) in TRUE.items():
+    for vehicle, (scale, offset, latency_s) in TRUE.items():
         assert found[vehicle].wheel_scale == pytest.approx(scale, abs=1e-3)
         assert found[vehicle].course_offset_rad == pytest.approx(offset, abs=1e-4)
-        assert found[vehicle].can_latency_s == 0.0
+        assert found[vehicle].can_latency_s == pytest.approx(latency_s, abs=0.003)
 
 
 def test_unknown_vehicle_gets_the_mean_of_all():
@@ -48,15 +50,42 @@ def test_fitted_constants_remove_the_error():
     recordings = recordings_of_two_vehicles()
     found = fit_vehicle_constants(recordings.select(folds=(0, 1)), TRUE)
     scene = recordings.rows(6)  # of a fold that was not fitted
-    constants = found[recordings.scenes[6].vehicle]
-    start = tuple(float(scene[f"truth.{name}"][0]) for name in ("x_m", "y_m", "yaw_rad"))
+    x, y, yaw = (float(scene[f"truth.{name}"][0]) for name in ("x_m", "y_m", "yaw_rad"))
 
-    def end_error(scale: float, offset: float) -> float:
-        increments, distances = scene["truth.yaw_increment_rad"][1:], scale * scene["distance_m"][1:]
-        x, y, _ = dead_reckon(increments, distances, start=start, course_offset_rad=offset)
-        return float(np.hypot(x[-1] - scene["truth.x_m"][-1], y[-1] - scene["truth.y_m"][-1]))
+    def error(vehicles: dict[str, VehicleConstants]) -> float:
+        """Of the mean place."""
+        known = recordings.replace(replace(recordings.manifest, vehicles=vehicles))
+        distances = travelled_m(known)[recordings.offsets[6] : recordings.offsets[7]][1:]
+        offset = vehicles[recordings.scenes[6].vehicle].course_offset_rad
+        increments = scene["truth.yaw_increment_rad"][1:]
+        found_x, found_y, _ = dead_reckon(increments, distances, start=(x, y, yaw), course_offset_rad=offset)
+        return float(np.hypot(found_x - scene["truth.x_m"], found_y - scene["truth.y_m"]).mean())
 
-    assert end_error(constants.wheel_scale, constants.course_offset_rad) < 0.25 * end_error(1.0, 0.0)
+    nominal = dict.fromkeys(TRUE, VehicleConstants())
+    timeless = {name: replace(constants, can_latency_s=0.0) for name, constants in found.items()}
+    assert error(found) < 0.25 * error(nominal)
+    assert error(found) < error(timeless)
+
+
+def test_distances_are_corrected_scene_by_scene():
+    recordings = synthetic_recordings(scenes=2)
+    vehicles = {"n099": VehicleConstants(wheel_scale=1.02, can_latency_s=0.1)}
+    scenes = tuple(replace(scene, vehicle="n099") for scene in recordings.scenes)
+    recordings = recordings.replace(replace(recordings.manifest, scenes=scenes, vehicles=vehicles))
+    for i in range(2):
+        scene = recordings.rows(i)
+        metres = travelled_m(recordings)[recordings.offsets[i] : recordings.offsets[i + 1]]
+        expected = 1.02 * scene["distance_m"][1:] + 0.1 * np.diff(scene["speed_mps"].astype(float))
+        np.testing.assert_allclose(metres[1:], expected, atol=1e-6)
+        assert np.isnan(metres[0])
+
+
+def test_without_a_change_of_speed_there_is_no_latency():
+    recordings = synthetic_recordings(scenes=2)
+    columns = {name: recordings[name] for name in recordings.column_names}
+    columns["speed_mps"] = np.full_like(columns["speed_mps"], 5.0)
+    (found,) = fit_vehicle_constants(Recordings(recordings.manifest, columns), ["n099"]).values()
+    assert found.can_latency_s == 0.0
 
 
 def test_standing_scenes_are_refused():

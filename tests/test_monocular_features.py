@@ -11,9 +11,9 @@ import pytest
 from mixo_env.errors import ConfigurationError, DatasetError
 from mixo_env.experts.monocular.alignment import align_matches
 from mixo_env.experts.monocular.config import MonocularConfig
-from mixo_env.experts.monocular.corners import BORDER_PX, corner_scores, grid_corners
+from mixo_env.experts.monocular.corners import BORDER_PX, CELL_PX, corner_scores, grid_corners
 from mixo_env.experts.monocular.features import FeatureDetector, Features
-from mixo_env.experts.monocular.matching import match_features
+from mixo_env.experts.monocular.matching import PROBES, match_features
 from mixo_env.experts.monocular.vocabulary import Vocabulary, load_vocabulary, train_vocabulary
 from tests.corridor import calibration, picture
 
@@ -36,13 +36,22 @@ def test_corner_scores_are_those_of_opencv(street: np.ndarray) -> None:
 
 
 def test_threshold_falls_only_where_needed(street: np.ndarray) -> None:
-    corners = grid_corners(street, 40, 7, 32, 3)
-    cell = corners[:, 1] // 32 * 100 + corners[:, 0] // 32
+    corners = grid_corners(street, 40, 7, 3, 100_000)
+    cell = corners[:, 1] // CELL_PX * 100 + corners[:, 0] // CELL_PX
     for k in np.unique(cell):
         score = corners[cell == k, 2]
         assert (score > 40).all() or (score > 40).sum() < 3
-        np.testing.assert_array_equal(corners[cell == k, 3], np.arange(len(score)))
         assert (np.diff(score) <= 0).all()
+
+
+@pytest.mark.parametrize("quota", [1, 200, 431, 2000])
+def test_the_best_of_every_cell_come_first(street: np.ndarray, quota: int) -> None:
+    """Against sorting all corners by their rank within the cell, then by score."""
+    corners = grid_corners(street, 40, 7, 3, 100_000)
+    cell = corners[:, 1] // CELL_PX * 100 + corners[:, 0] // CELL_PX
+    rank = np.concatenate([np.arange(count) for count in np.unique_counts(cell).counts])
+    expected = corners[np.sort(np.lexsort((-corners[:, 2], rank))[:quota])]
+    np.testing.assert_array_equal(grid_corners(street, 40, 7, 3, quota), expected)
 
 
 def test_corners_are_spread_evenly(street: np.ndarray) -> None:
@@ -68,13 +77,16 @@ def test_turned_picture_has_the_same_words(street: np.ndarray) -> None:
     assert np.median(bits) < 40
 
 
-def slow_mutual(a: Features, b: Features, node1: np.ndarray, node2: np.ndarray, radius: float) -> set[tuple[int, int]]:
+def slow_mutual(
+    a: Features, b: Features, words1: np.ndarray, words2: np.ndarray, radius: float
+) -> set[tuple[int, int]]:
     """Mutual matches by the book: every pair, every rule."""
     distance = np.bitwise_count(a.descriptor[:, None] ^ b.descriptor[None]).sum(-1).astype(int)
     shift = np.abs(a.position_px[:, None] - b.position_px[None]).max(-1)
     lean = np.cos(a.angle_rad[:, None] - b.angle_rad[None])
     level = np.abs(a.level[:, None] - b.level[None])
-    distance[(node1[:, None] != node2[None]) | (shift > radius) | (lean < np.cos(0.5)) | (level > 1)] = 999
+    apart = (words1[:, None] != words2[None, :, :1]).all(-1)
+    distance[apart | (shift > radius) | (lean < np.cos(0.5)) | (level > 1)] = 999
     found = set()
     for i, row in enumerate(distance):
         j = int(row.argmin())
@@ -84,13 +96,13 @@ def slow_mutual(a: Features, b: Features, node1: np.ndarray, node2: np.ndarray, 
     return found
 
 
-@pytest.mark.parametrize("fine", [False, True])
-def test_matching_against_the_slow_way(street: np.ndarray, fine: bool) -> None:
+@pytest.mark.parametrize("probes", [1, PROBES])
+def test_matching_against_the_slow_way(street: np.ndarray, probes: int) -> None:
     detector, words = FeatureDetector(MonocularConfig(features=400)), load_vocabulary()
     first, second = detector.detect(street), detector.detect(picture(calibration(), 0.5, 0.0, 0.11, 1))
-    node1, node2 = words.nodes(first.descriptor, fine), words.nodes(second.descriptor, fine)
-    i, j = match_features(first, second, node1, node2, 100 if fine else 10, 80.0, 64, 0.9)
-    expected = slow_mutual(first, second, node1, node2, 80.0)
+    words1, words2 = words.nearest(first.descriptor, probes), words.nearest(second.descriptor, 1)
+    i, j = match_features(first, second, words1, words2, len(words), 80.0, 64, 0.9)
+    expected = slow_mutual(first, second, words1, words2, 80.0)
     assert len(expected) > 60
     assert len(set(zip(i.tolist(), j.tolist(), strict=True)) ^ expected) <= 0.02 * len(expected)  # equals may differ
 
@@ -115,7 +127,7 @@ def clusters(rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
 def test_vocabulary_finds_clusters(tmp_path: Path) -> None:
     descriptor, label = clusters(np.random.default_rng(0))
     words = train_vocabulary(descriptor, branches=4, seed=3)
-    node = words.nodes(descriptor, fine=True)
+    node = words.nearest(descriptor)[:, 0]
     purity = sum(np.bincount(label[node == k]).max() for k in np.unique(node)) / len(label)
     assert purity > 0.6
     together = [np.bincount(node[label == k]).max() for k in range(16)]
@@ -123,7 +135,8 @@ def test_vocabulary_finds_clusters(tmp_path: Path) -> None:
     np.testing.assert_array_equal(train_vocabulary(descriptor, branches=4, seed=3).centres, words.centres)
     words.save(tmp_path / "words.npy")
     np.testing.assert_array_equal(load_vocabulary(tmp_path / "words.npy").centres, words.centres)
-    np.testing.assert_array_equal(node // 4, words.nodes(descriptor, fine=False))
+    bits = np.bitwise_count(descriptor[:, None] ^ words.centres[:, 1:].reshape(1, 16, 4)).sum(-1)
+    np.testing.assert_array_equal(words.nearest(descriptor, 16), np.argsort(bits, axis=1, kind="stable"))
 
 
 def test_bad_vocabularies(tmp_path: Path) -> None:
@@ -140,4 +153,4 @@ def test_the_general_vocabulary_splits_evenly(street: np.ndarray) -> None:
     words = load_vocabulary()
     assert isinstance(words, Vocabulary)
     features = FeatureDetector(MonocularConfig()).detect(street)
-    assert np.bincount(words.nodes(features.descriptor, fine=False)).max() < 0.4 * len(features)
+    assert np.bincount(words.nearest(features.descriptor)[:, 0]).max() < 0.1 * len(features)

@@ -1,22 +1,33 @@
-"""The recording that comes with the package."""
+"""The recordings that come with the package."""
 
 from __future__ import annotations
 
 from importlib.resources import files
 
 import numpy as np
+import pytest
 
-from mixo_env.recordings.schema import SPLITS, TRACKS
+from experiments.mixocity import DATA_VERSION, RETRAINED, full_size_scenes, planned_folds
+from mixo_env.nuscenes.selections import CAMERAS
+from mixo_env.recordings.schema import INERTIAL_EXPERTS, SPLITS, TRACKS
 from mixo_env.recordings.store import bundled_recordings, load_recordings
 
+DATA = files("mixo_env.recordings") / "data"
 
-def test_mixocity_is_small_and_has_every_fold():
+of_this_version = pytest.mark.skipif(
+    load_recordings().manifest.data_version != f"mixocity-{DATA_VERSION}", reason="bundled by an older definition"
+)
+
+
+def test_they_are_small():
     assert "mixocity" in bundled_recordings()
-    data = files("mixo_env.recordings") / "data" / "mixocity"
-    assert sum(len(entry.read_bytes()) for entry in data.iterdir()) < 3_000_000
-    recordings = load_recordings()
-    assert len(recordings) >= 12
-    assert len({scene.log for scene in recordings.scenes}) >= 4
+    names = bundled_recordings()
+    assert sum(len(entry.read_bytes()) for name in names for entry in (DATA / name).iterdir()) < 20_000_000
+
+
+@pytest.mark.parametrize("name", bundled_recordings())
+def test_every_fold_is_fitted(name):
+    recordings = load_recordings(name)
     for split in ("train", "test"):
         assert len(recordings.select(split=split)) > 0
     folds = {str(fold) for fold in SPLITS["all"]}
@@ -25,17 +36,42 @@ def test_mixocity_is_small_and_has_every_fold():
         assert recordings.manifest.reward_scale_rad[track] > 0
 
 
-def test_mixocity_holds_no_path_of_the_machine_that_made_it():
-    manifest = (files("mixo_env.recordings") / "data" / "mixocity" / "manifest.json").read_text()
-    assert load_recordings("mixocity").manifest.parameters["skipped"] == {}
+@pytest.mark.parametrize("name", bundled_recordings())
+def test_they_hold_no_path_of_the_machine_that_made_them(name):
+    manifest = (DATA / name / "manifest.json").read_text()
+    assert load_recordings(name).manifest.parameters["skipped"] == {}
     assert "/home/" not in manifest
     assert "/tmp/" not in manifest
+    assert "/root/" not in manifest
 
 
-def test_mixocity_has_noise_free_truth():
-    recordings = load_recordings()
+@pytest.mark.parametrize("name", bundled_recordings())
+def test_they_have_noise_free_truth(name):
+    recordings = load_recordings(name)
     assert np.isfinite(recordings["exact.yaw_rad"]).all()
     written = np.hypot(
         recordings["exact.x_m"] - recordings["truth.x_m"], recordings["exact.y_m"] - recordings["truth.y_m"]
     )
     assert np.median(written) < 0.5
+
+
+@of_this_version
+def test_mixocity_is_what_was_planned():
+    recordings = load_recordings()
+    assert {scene.name: scene.fold for scene in recordings.scenes} == planned_folds()
+    assert (recordings.manifest.cameras, recordings.manifest.inertial) == (CAMERAS, INERTIAL_EXPERTS)
+    assert set(recordings.manifest.variants.values()) == set(RETRAINED)
+    for expert in INERTIAL_EXPERTS:
+        assert np.isfinite(recordings[f"{expert}.yaw_increment_rad"]).sum() == len(recordings["step"]) - len(recordings)
+
+
+@pytest.mark.skipif("mixocity-paper" not in bundled_recordings(), reason="not bundled yet")
+def test_mixocity_paper_shows_the_same_drives_in_the_same_folds():
+    small, large = load_recordings("mixocity"), load_recordings("mixocity-paper")
+    assert {scene.name: scene.fold for scene in large.scenes} == {
+        name: planned_folds()[name] for name in full_size_scenes()
+    }
+    assert large.manifest.parameters["monocular"]["features"] == 8000
+    same = small.select(scenes=full_size_scenes())
+    for column in ("timestamp_us", "truth.x_m", "exact.yaw_rad", "distance_m", "INERTIAL.yaw_increment_rad"):
+        np.testing.assert_array_equal(large[column], same[column])

@@ -15,7 +15,7 @@ from tests.nuscenes_fixture import DRIVES, write_nuscenes
 from tests.recording_fakes import with_another_future, write_sliding_texture
 
 CAMERAS = ("CAM_FRONT", "CAM_BACK_RIGHT")
-EXPERTS = default_experts(RecordConfig(cameras=CAMERAS))
+EXPERTS = default_experts(RecordConfig(cameras=CAMERAS), "any scene")
 
 
 @pytest.fixture(scope="module")

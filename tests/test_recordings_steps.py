@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
+import simplejpeg
 
 from mixo_env.errors import DatasetError
 from mixo_env.experts.expert import State
@@ -15,6 +17,7 @@ from mixo_env.nuscenes.selections import CAMERAS
 from mixo_env.recordings.clock import firing_rounds
 from mixo_env.recordings.schema import INERTIAL_EXPERTS, columns
 from mixo_env.recordings.steps import Experts, read_grey, record_scene
+from tests.corridor import calibration, picture
 from tests.recording_fakes import (
     CELLS,
     DROPPED,
@@ -183,3 +186,23 @@ def test_unreadable_images_are_named(tmp_path):
     path.write_bytes(path.read_bytes()[:-30])
     with pytest.raises(DatasetError, match=r"a\.jpg cannot be read as JPEG"):
         read_grey(path)
+
+
+@pytest.mark.parametrize(("height", "width"), [(360, 640), (361, 641)])
+def test_halved_by_the_decoder_is_the_mean_of_four_pixels(tmp_path, height, width):
+    street = cv2.resize(picture(calibration(), 0.0, 0.0, 0.1), (width, height))
+    path = tmp_path / "a.jpg"
+    path.write_bytes(simplejpeg.encode_jpeg(street[..., None], quality=90, colorspace="GRAY"))
+    half, whole = read_grey(path, 1), read_grey(path)
+    mean = whole[:360, :640].reshape(180, 2, 320, 2).mean((1, 3))
+    assert half.shape == mean.shape
+    assert np.abs(half - mean).mean() < 0.5
+    assert np.abs(half - mean).max() < 6
+    corners = np.asarray(cv2.goodFeaturesToTrack(half, 300, 0.01, 7), np.float32)
+    moved = cv2.calcOpticalFlowPyrLK(
+        np.rint(mean).astype(np.uint8), half, corners, corners.copy(), winSize=(15, 15), maxLevel=0
+    )[0]
+    assert np.abs(np.median(moved - corners, axis=0)).max() < 0.01
+    path.write_bytes(path.read_bytes()[:-300])
+    with pytest.raises(DatasetError, match="cannot be read as JPEG"):
+        read_grey(path, 1)

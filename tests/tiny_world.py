@@ -15,7 +15,7 @@ from mixo_env.simulator.render import CameraPose
 from mixo_env.simulator.rig import nominal_calibration
 from mixo_env.simulator.textures import Atlas, Bytes, rgba
 from mixo_env.simulator.weather import Weather
-from mixo_env.simulator.world import World, packed_detail
+from mixo_env.simulator.world import World, grain_levels
 
 SUN = np.array([0.6, 0.0, 0.8])
 
@@ -64,7 +64,7 @@ def world_of(textures: Sequence[Bytes], patches: Sequence[Patch]) -> World:
     for texture in textures:
         atlas.add(texture)
     texels, table = atlas.packed()
-    detail, detail_start = packed_detail(np.full((512, 512), 127, np.uint8))
+    detail, detail_start = grain_levels(np.full((512, 512), 127, np.uint8))
     sunlight, field = _open_ground()
     return World(
         seed=0,

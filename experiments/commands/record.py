@@ -24,6 +24,7 @@ class Record:
       mixo record /data/nuscenes --out trainval --workers 8               everything you have
       mixo record /data/nuscenes --out two --scenes scene-0655 scene-0757
       mixo record city --out front --cameras CAM_FRONT CAM_FRONT_LEFT
+      mixo record city --out recorded --retrained CAM_BACK_RIGHT          rows "w/ retrained vocabulary" of the paper
       mixo benchmark --recordings recorded                                what to do next
     """
 
@@ -46,6 +47,8 @@ class Record:
     """Settings of the monocular odometry; "paper": 8000 features, 19 levels, full resolution."""
     folds: Literal["log", "contiguous"] = "log"
     """Folds of the cross-validation: whole drives, or the paper's contiguous blocks of scenes."""
+    retrained: tuple[str, ...] = ()
+    """Cameras to record once more with a vocabulary retrained on 20 % of the images of the other folds."""
     data_version: str | None = None
     """Name of the data in every result; the version of the tables by default."""
 
@@ -54,18 +57,33 @@ class Record:
         from rich.console import Console
         from rich.progress import Progress
 
+        from mixo_env.errors import ConfigurationError, unknown
         from mixo_env.experts.monocular.config import MonocularConfig
         from mixo_env.nuscenes.tables import open_dataset
         from mixo_env.recordings.record import RecordConfig, record
+        from mixo_env.recordings.vocabularies import retrain
 
+        for camera in self.retrained:
+            if camera not in self.cameras:
+                raise ConfigurationError(unknown("camera to retrain for", camera, self.cameras))
+        monocular = MonocularConfig.preset(self.preset)
+        dataset = open_dataset(self.root, self.version)
         config = RecordConfig(
             cameras=self.cameras,
             scenes=self.scenes,
-            monocular=MonocularConfig.preset(self.preset),
+            monocular=monocular,
             folds=self.folds,
             data_version=self.data_version,
+            variants=retrain(
+                dataset,
+                self.retrained,
+                monocular,
+                self.out,
+                scenes=self.scenes,
+                folds=self.folds,
+                workers=self.workers,
+            ),
         )
-        dataset = open_dataset(self.root, self.version)
         console = Console(stderr=True)
         with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
             task = bar.add_task("recording scenes", total=None)

@@ -24,6 +24,7 @@ class Simulate:
       mixo simulate can --scenes 100 --no-images              CAN bus, poses and tables only, in seconds
       mixo simulate rain --rain 1 --night 0 --seed 7          rain all day
       mixo simulate calm --situations.lead-truck 0            never behind a truck on purpose
+      mixo simulate city --only scene-2001 scene-2004         two of the 12 scenes; the others can follow later
     """
 
     out: Annotated[Path, tyro.conf.Positional]
@@ -32,6 +33,8 @@ class Simulate:
     """What to simulate."""
     workers: int = 1
     """Processes; the files do not depend on it."""
+    only: tuple[str, ...] = ()
+    """Scenes to do now; all by default. A scene is the same with or without the others."""
 
     def run(self) -> int:
         """Simulate and show progress."""
@@ -41,14 +44,16 @@ class Simulate:
         from mixo_env.simulator.dataset import VERSION, simulate
 
         console = Console()
+        scenes = len(set(self.only)) or self.config.scenes
         with Progress(console=console, transient=True) as bar:
-            task = bar.add_task("simulating scenes", total=self.config.scenes)
+            task = bar.add_task("simulating scenes", total=scenes)
             simulate(
                 self.config,
                 self.out,
                 workers=self.workers,
                 progress=lambda done, total: bar.update(task, completed=done, total=total),
+                only=self.only,
             )
-        console.print(f"{self.config.scenes} scenes ({VERSION}) in {self.out}", highlight=False)
+        console.print(f"{scenes} scenes ({VERSION}) in {self.out}", highlight=False)
         console.print(f"next: mixo record {self.out} --out {self.out}-recordings", highlight=False)
         return 0

@@ -46,36 +46,33 @@ class TrainVocabulary:
         from rich.console import Console
         from rich.progress import track
 
-        from mixo_env.errors import ConfigurationError
-        from mixo_env.experts.monocular.camera import mount
+        from mixo_env.errors import ConfigurationError, DatasetError
         from mixo_env.experts.monocular.config import MonocularConfig
-        from mixo_env.experts.monocular.features import FeatureDetector
         from mixo_env.experts.monocular.vocabulary import train_vocabulary
         from mixo_env.nuscenes.tables import open_dataset
-        from mixo_env.recordings.steps import read_grey
+        from mixo_env.recordings.vocabularies import scene_descriptors
 
         if not 0.0 < self.share <= 1.0:
             raise ConfigurationError(f"share must be above 0 and at most 1, got {self.share:g}: use e.g. 0.2")
+        try:
+            self.out.parent.mkdir(parents=True, exist_ok=True)  # now, not after minutes of work
+        except OSError as error:
+            raise DatasetError(f"cannot write {self.out} ({error.strerror}): choose another folder") from None
         config = MonocularConfig.preset(self.preset)
-        detector, dataset = FeatureDetector(config), open_dataset(self.root, self.version)
-        rng = np.random.default_rng(self.seed)
-        images = []
-        for name in self.scenes or dataset.scene_names:
-            for camera in dataset.load(name, self.cameras).cameras.values():
-                mounted = mount(camera.calibration, config.max_pixels)
-                some = np.flatnonzero(rng.random(len(camera.image_paths)) < self.share)
-                images += [(mounted, camera.image_paths[i]) for i in some]
+        dataset = open_dataset(self.root, self.version)
         console = Console(stderr=True)
+        pieces = [(name, camera) for name in self.scenes or dataset.scene_names for camera in self.cameras]
         words = [
-            detector.detect(mounted.shrink(read_grey(path))).descriptor
-            for mounted, path in track(images, "looking", console=console, disable=not console.is_terminal)
+            scene_descriptors(dataset, name, camera, config, self.share, self.seed)
+            for name, camera in track(pieces, "looking", console=console, disable=not console.is_terminal)
         ]
         descriptor = np.concatenate([np.empty((0, 4), np.uint64), *words])
         vocabulary = train_vocabulary(descriptor, seed=self.seed)
         vocabulary.save(self.out)
-        count = np.bincount(vocabulary.nodes(descriptor, fine=True), minlength=vocabulary.branches**2)
+        count = np.bincount(vocabulary.nearest(descriptor)[:, 0], minlength=len(vocabulary))
+        share = count / count.sum()
         console.print(
-            f"{self.out}: {vocabulary.branches} x {vocabulary.branches} words from {len(descriptor):,} corners of "
-            f"{len(images):,} images; words hold {count.min() / count.sum():.2%} to {count.max() / count.sum():.2%}"
+            f"{self.out}: {vocabulary.branches} x {vocabulary.branches} words from {len(descriptor):,} corners in "
+            f"{self.share:.0%} of the images; words hold {share.min():.2%} to {share.max():.2%}"
         )
         return 0

@@ -9,6 +9,7 @@ from pathlib import Path
 
 EVO = "evo==1.38.1"
 DEVKIT = "nuscenes-devkit==1.2.0"
+ORBSLAM3 = "pyorbslam3==0.1.1"
 
 
 def peer_python(requirement: str) -> Path | None:

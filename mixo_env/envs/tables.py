@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 from mixo_env.envs.stepping import DISTANCE, DT, LINEAR_ERROR, SUBSTITUTE, TRUE_X, TRUE_Y, TRUE_YAW, TRUTH
 from mixo_env.errors import ConfigurationError, RecordingError, unknown
 from mixo_env.recordings.collection import Recordings
-from mixo_env.recordings.schema import TRACKS, VehicleConstants
+from mixo_env.recordings.schema import TRACKS
+from mixo_env.recordings.vehicles import travelled_m
 
 FloatArray = NDArray[np.float64]
 
@@ -91,12 +92,11 @@ def tabulate_steps(
         RecordingError: for a step without duration or distance.
     """
     lengths = [scene.rows - 1 for scene in recordings.scenes]
-    vehicles = [recordings.manifest.vehicles.get(scene.vehicle, VehicleConstants()) for scene in recordings.scenes]
     x, y, yaw = np.repeat(start, lengths, axis=0).T
     columns = {
         SUBSTITUTE: votes.substitute_rad,
         DT: recordings["dt_s"][steps],
-        DISTANCE: recordings["distance_m"][steps] * np.repeat([v.wheel_scale for v in vehicles], lengths),
+        DISTANCE: travelled_m(recordings)[steps],
         LINEAR_ERROR: np.zeros(len(steps)),
         TRUTH: recordings["truth.yaw_increment_rad"][steps],
         TRUE_YAW: recordings["truth.yaw_rad"][steps] - yaw,

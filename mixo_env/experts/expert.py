@@ -25,10 +25,10 @@ class CameraStep:
     """Outcome of one image of one camera.
 
     Attributes:
-        state: never ``NO_IMAGE`` here.
+        state: INITIALISING, TRACKING or LOST; never ``NO_IMAGE`` here.
         yaw_increment_rad: of the car since the previous image, anticlockwise positive; NaN unless TRACKING.
         yaw_std_rad: standard deviation of that increment; NaN unless TRACKING.
-        matches: features matched with the previous image or the local map.
+        matches: features matched with the previous image.
         inliers: matches that agree with the motion.
         residual_px: median reprojection residual of the inliers; NaN without inliers.
         flow_px: median displacement of the matches; NaN without matches.
@@ -48,11 +48,16 @@ class CameraStep:
 class CameraExpert(Protocol):
     """Single-camera odometry of one camera over one scene: images go in, in time order, increments come out."""
 
+    @property
+    def halvings(self) -> int:
+        """How often it halves images anyway: a decoder may do so."""
+        ...
+
     def process(self, image: NDArray[np.uint8], timestamp_us: int, distance_m: float) -> CameraStep:
         """Take the next image.
 
         Args:
-            image: ``(height, width)`` grey.
+            image: ``(height, width)`` grey, of the calibrated size or already halved ``halvings`` times.
             timestamp_us: exposure time; must increase.
             distance_m: distance travelled since the previous image (the external scale s_k; 0 for the first image).
         """

@@ -62,7 +62,7 @@ def at_keyframes(recordings: Recordings) -> Recordings:
     columns["step"] = np.concatenate([np.arange(scene.rows, dtype=np.int32) for scene in scenes])
     columns["dt_s"][starts] = 0.0
     columns["time_s"] = columns["time_s"] - np.repeat(columns["time_s"][starts], [scene.rows for scene in scenes])
-    for camera in recordings.manifest.cameras:
+    for camera in (*recordings.manifest.cameras, *recordings.manifest.variants):
         state = columns[f"{camera}.state"]
         complete = np.isfinite(columns[f"{camera}.yaw_increment_rad"])
         state[~starts] = np.where(complete, State.TRACKING, State.LOST)[~starts]

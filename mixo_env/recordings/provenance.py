@@ -10,6 +10,7 @@ from dataclasses import asdict, fields
 from importlib.metadata import version
 from importlib.resources import files
 from importlib.resources.abc import Traversable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,7 @@ SOFTWARE = ("mixo-env", "numpy", "numba", "llvmlite", "filterpy", "simplejpeg", 
 """Packages whose version can change a recorded value."""
 
 _CODE = ("geometry.py", "experts", "nuscenes", "recordings")
-_SUFFIXES = (".py", ".npz", ".json")
+_SUFFIXES = (".py", ".npy", ".npz", ".json")
 
 
 def software_versions() -> dict[str, str]:
@@ -39,6 +40,11 @@ def code_hash() -> str:
         for name, content in _walk(root / part, part):
             digest.update(f"{name}:{len(content)};".encode() + content)
     return digest.hexdigest()
+
+
+def file_hash(path: Path) -> str:
+    """Hash of the bytes of a file."""
+    return hashlib.blake2b(path.read_bytes(), digest_size=8).hexdigest()
 
 
 def _walk(entry: Traversable, name: str) -> Iterator[tuple[str, bytes]]:

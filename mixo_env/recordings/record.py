@@ -7,7 +7,7 @@ recording takes in further scenes; parts count only if the same configuration, s
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
@@ -31,11 +31,12 @@ from mixo_env.recordings.fitting import with_fits
 from mixo_env.recordings.folds import FOLD_RULES, OUT_OF_DISTRIBUTION, with_folds
 from mixo_env.recordings.parts import Part, PartFolder, finished_parts
 from mixo_env.recordings.processes import processes
-from mixo_env.recordings.provenance import configuration_hash, inputs_hash, software_versions
+from mixo_env.recordings.provenance import configuration_hash, file_hash, inputs_hash, software_versions
 from mixo_env.recordings.schema import INERTIAL_EXPERTS, SCHEMA_VERSION, Manifest, SceneEntry
 from mixo_env.recordings.steps import Columns, Experts, record_scene
 from mixo_env.recordings.store import TIMINGS_FILE, load_recordings, save_recordings, write_columns
 from mixo_env.recordings.vehicles import training_constants
+from mixo_env.recordings.vocabularies import Retrained
 
 logger = logging.getLogger(__name__)
 
@@ -78,6 +79,7 @@ class RecordConfig:
         monocular: settings of every camera's odometry.
         folds: rule of ``FOLD_RULES``: ``"log"``, or the paper's ``"contiguous"``.
         data_version: printed with every result; ``None`` is the version of the data set.
+        variants: cameras once more with retrained vocabularies, by the name of their row; never voters.
     """
 
     cameras: tuple[str, ...] = CAMERAS
@@ -85,17 +87,21 @@ class RecordConfig:
     monocular: MonocularConfig = field(default_factory=MonocularConfig)
     folds: str = "log"
     data_version: str | None = None
+    variants: Mapping[str, Retrained] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Check names.
 
         Raises:
-            ConfigurationError: for an unknown rule, no camera or a camera given twice.
+            ConfigurationError: for an unknown rule, no camera, a camera given twice or a variant of another camera.
         """
         if self.folds not in FOLD_RULES:
             raise ConfigurationError(unknown("fold rule", self.folds, FOLD_RULES))
         if not self.cameras or len(set(self.cameras)) != len(self.cameras):
             raise ConfigurationError(f"cameras must be given once each, got {', '.join(self.cameras) or 'none'}")
+        for variant in self.variants.values():
+            if variant.camera not in self.cameras:
+                raise ConfigurationError(unknown("camera of a variant", variant.camera, self.cameras))
 
     def parameters(self) -> dict[str, Any]:
         """What decides the recorded values, as plain JSON values."""
@@ -109,14 +115,28 @@ class RecordConfig:
                 "speed_variance": SPEED_VARIANCE,
                 "yaw_rate_variance": YAW_RATE_VARIANCE,
             },
+            "variants": {
+                name: {
+                    "camera": variant.camera,
+                    "vocabulary": {scene: file_hash(path) for scene, path in variant.vocabulary.items()},
+                }
+                for name, variant in self.variants.items()
+            },
         }
 
 
-def default_experts(config: RecordConfig) -> Experts:
-    """The project's own odometry."""
+def default_experts(config: RecordConfig, scene: str) -> Experts:
+    """The project's own odometry for one scene."""
     from mixo_env.experts.monocular.odometry import MonocularOdometry
 
-    return Experts(partial(MonocularOdometry, config=config.monocular), InertialOdometry)
+    def camera(settings: MonocularConfig) -> partial[MonocularOdometry]:
+        return partial(MonocularOdometry, config=settings)
+
+    variants = {
+        name: (variant.camera, camera(replace(config.monocular, vocabulary=str(variant.vocabulary[scene]))))
+        for name, variant in config.variants.items()
+    }
+    return Experts(camera(config.monocular), InertialOdometry, variants)
 
 
 def record(
@@ -150,7 +170,6 @@ def record(
 
     out = Path(out)
     names = _scene_names(dataset, config)
-    experts = experts or default_experts(config)
     configuration = configuration_hash(config.parameters())
     folder = PartFolder(out, configuration)
     parts = finished_parts(out, configuration) | folder.read()
@@ -163,7 +182,13 @@ def record(
     names = [name for name in dataset.scene_names if name in names or name in parts]
     skipped: dict[str, str] = {}
     tasks = (
-        delayed(_record_one)(dataset, name, config.cameras, experts, parts[name].inputs if name in parts else None)
+        delayed(_record_one)(
+            dataset,
+            name,
+            config.cameras,
+            experts or default_experts(config, name),
+            parts[name].inputs if name in parts else None,
+        )
         for name in names
     )
     with processes(workers, scheduler):
@@ -205,6 +230,7 @@ def _assemble(parts: list[Part], config: RecordConfig, version: str, provenance:
         | {"folds": config.folds, "inputs": {part.entry.name: part.inputs for part in parts}},
         software=software_versions(),
         camera_cost_ms=dict.fromkeys(config.cameras, CAMERA_COST_MS),
+        variants={name: variant.camera for name, variant in config.variants.items()},
     )
     recordings = Recordings(manifest, _joined([part.columns for part in parts]))
     vehicles = training_constants(recordings)

@@ -63,23 +63,39 @@ CAMERA_COLUMNS: dict[str, str] = {
     "flow_px": "float32",  # median optical flow of the matches
 }
 
+IMAGE_COLUMNS = ("image_time_offset_s", "own_window_s", "own_window_truth_yaw_increment_rad")
+"""Camera columns that say when its images were taken, whatever its expert made of them."""
+
+VARIANT_COLUMNS = {name: dtype for name, dtype in CAMERA_COLUMNS.items() if name not in IMAGE_COLUMNS}
+"""A camera's expert run once more with other settings: what stands in place of that camera's own columns."""
+
 IMPORTED_COLUMNS: dict[str, str] = {"yaw_increment_rad": "float32"}
 """A trajectory from a file: it has increments only; counts and states are absent and masked, never invented."""
 
 
-def columns(cameras: tuple[str, ...], inertial: tuple[str, ...], imported: tuple[str, ...] = ()) -> dict[str, str]:
+def columns(
+    cameras: tuple[str, ...],
+    inertial: tuple[str, ...],
+    imported: tuple[str, ...] = (),
+    variants: tuple[str, ...] = (),
+) -> dict[str, str]:
     """All columns of a recording with these experts, in file order: name -> NumPy dtype."""
     table = dict(STEP_COLUMNS)
-    for experts, layout in ((cameras, CAMERA_COLUMNS), (inertial, INERTIAL_COLUMNS), (imported, IMPORTED_COLUMNS)):
+    for experts, layout in (
+        (cameras, CAMERA_COLUMNS),
+        (inertial, INERTIAL_COLUMNS),
+        (imported, IMPORTED_COLUMNS),
+        (variants, VARIANT_COLUMNS),
+    ):
         table |= {f"{expert}.{name}": dtype for expert in experts for name, dtype in layout.items()}
     return table
 
 
 def empty_columns(
-    rows: int, cameras: tuple[str, ...], inertial: tuple[str, ...], imported: tuple[str, ...] = ()
+    rows: int, cameras: tuple[str, ...], inertial: tuple[str, ...], variants: tuple[str, ...] = ()
 ) -> dict[str, NDArray[Any]]:
-    """All columns of :func:`columns`, ``(rows,)`` each, filled with NaN (zero in columns that are not floats)."""
-    layout = columns(cameras, inertial, imported)
+    """All columns of a scene, ``(rows,)`` each, filled with NaN (zero in columns that are not floats)."""
+    layout = columns(cameras, inertial, variants=variants)
     return {name: np.full(rows, np.nan if "float" in dtype else 0, dtype) for name, dtype in layout.items()}
 
 
@@ -103,7 +119,7 @@ class VehicleConstants:
 
     wheel_scale: float = 1.0  # true distance / distance from the nominal wheel radius
     course_offset_rad: float = 0.0  # direction of travel minus ego heading
-    can_latency_s: float = 0.0  # arrival stamp minus measurement time of the wheel messages
+    can_latency_s: float = 0.0  # how late the wheel messages arrive, less how late the poses are
 
 
 @dataclass(frozen=True)
@@ -113,6 +129,7 @@ class Manifest:
     Attributes:
         data_version: e.g. ``"mixocity-0.1"``; part of every printed result.
         cameras, inertial, imported: experts by kind, in column order.
+        variants: name -> camera whose images it saw with other settings; scored, but never a voter nor observed.
         parameters: resolved configuration of every expert, as plain JSON values.
         software: package -> version used when recording.
         scenes: in file order.
@@ -133,4 +150,5 @@ class Manifest:
     reward_scale_rad: dict[str, float] = field(default_factory=dict)
     linear_weights: dict[str, dict[str, dict[str, float]]] = field(default_factory=dict)
     camera_cost_ms: dict[str, float] = field(default_factory=dict)
+    variants: dict[str, str] = field(default_factory=dict)
     schema_version: int = SCHEMA_VERSION

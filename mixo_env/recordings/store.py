@@ -199,8 +199,8 @@ def _check_columns(dtypes: Mapping[str, str], manifest: Manifest, label: str, cu
             raise RecordingError(f"{label}: {problem} columns: {', '.join(names[:3])}{more}" + (cure and f"; {cure}"))
 
 
-def _experts(manifest: Manifest) -> tuple[tuple[str, ...], tuple[str, ...], tuple[str, ...]]:
-    return manifest.cameras, manifest.inertial, manifest.imported
+def _experts(manifest: Manifest) -> tuple[tuple[str, ...], ...]:
+    return manifest.cameras, manifest.inertial, manifest.imported, tuple(manifest.variants)
 
 
 def _canonical(values: Column) -> Column:

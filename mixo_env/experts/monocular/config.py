@@ -19,7 +19,6 @@ class MonocularConfig:
         fast_threshold_low: the same where a grid cell has too few corners.
         max_pixels: images with more pixels are halved (2 x 2 averages) until they fit; ``None`` keeps them as they are.
         vocabulary: ``"general"``: the one that ships; or the path of one made by ``mixo train-vocabulary``.
-        fine_nodes: match within the second level of the vocabulary (100 nodes) instead of the first (10).
         match_max_bits: largest Hamming distance (of 256 bits) of a match.
         match_ratio: a match must be better than this share of the second-best distance in its search window.
         max_yaw_rate_radps: faster turns of the car are not searched for.
@@ -29,6 +28,7 @@ class MonocularConfig:
         noise_px: expected position noise of a feature, in working pixels; the start value of the robust scale.
         tilt_std_rad: soft zero prior on the roll and pitch increments between two images.
         slip_std: soft prior of the sideways and vertical motion, as a share of the distance (non-holonomic car).
+        course_spread: the same for a single pair, about the slow mean that earlier pairs have shown.
         solver_matches: at most so many matches, evenly picked, enter the motion solver.
         min_matches: fewer matches and the camera is lost (50 in the paper).
         min_inliers: fewer matches in agreement with the motion and the camera is lost.
@@ -47,15 +47,15 @@ class MonocularConfig:
     fast_threshold_low: int = 7
     max_pixels: int | None = 600_000
     vocabulary: str = "general"
-    fine_nodes: bool = False
     match_max_bits: int = 64
-    match_ratio: float = 0.85
+    match_ratio: float = 0.9
     max_yaw_rate_radps: float = 1.0
     max_curvature_radpm: float = 0.3
     standing_yaw_rad: float = 0.005
     noise_px: float = 0.35
     tilt_std_rad: float = 0.003
     slip_std: float = 0.05
+    course_spread: float = 0.006
     solver_matches: int = 800
     min_matches: int = 50
     min_inliers: int = 30
@@ -102,6 +102,6 @@ class MonocularConfig:
 
 PRESETS = {
     "fast": MonocularConfig(),
-    "paper": MonocularConfig(features=8000, levels=19, scale_factor=1.2, max_pixels=None, fine_nodes=True),
+    "paper": MonocularConfig(features=8000, levels=19, scale_factor=1.2, max_pixels=None),
 }
 """Preset name -> settings."""

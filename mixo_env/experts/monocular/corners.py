@@ -16,6 +16,9 @@ from numpy.typing import NDArray
 BORDER_PX = 19
 """No corner nearer to the edge: descriptor (radius 13 turned, plus smoothing) and orientation patch fit inside."""
 
+CELL_PX = 32
+"""Side of a grid cell, a multiple of 8."""
+
 _PATCH_RADIUS = 15
 _TURNS = 30  # discrete orientations of the descriptor
 
@@ -39,6 +42,13 @@ def _comparison_pattern(radius: float = 13.0) -> NDArray[np.int8]:
         c, s = math.cos(2.0 * math.pi * turn / _TURNS), math.sin(2.0 * math.pi * turn / _TURNS)
         turned.append(np.rint(straight @ np.array([[c, s], [-s, c]])).reshape(256, 4))
     return np.array(turned).astype(np.int8)
+
+
+_PATTERN = _comparison_pattern()
+
+_DISC = np.array(
+    [[255 * (x * x + y * y <= _PATCH_RADIUS**2) for x in range(-15, 16)] for y in range(-15, 16)], np.uint8
+)  # mask of the round orientation patch
 
 
 @njit(cache=True)
@@ -105,104 +115,155 @@ def corner_scores(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 @njit(cache=True)
-def _keep_peaks(scores: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Scores with all but the maxima of 3 x 3 neighbourhoods set to 0; of equals the first in reading order stays."""
+def _keep_peaks(scores: NDArray[np.uint8], low: int) -> NDArray[np.uint8]:
+    """Scores above ``low`` that are the maximum of their 3 x 3 neighbourhood; everything else is 0.
+
+    Of equals the first in reading order stays. Rows are padded to whole words of 8 pixels.
+    """
     height, width = scores.shape
-    peaks = np.zeros_like(scores)
+    peaks = np.zeros((height, (width + 7) // 8 * 8), np.uint8)
     for y in range(1, height - 1):
         above, here, below, out = scores[y - 1], scores[y], scores[y + 1], peaks[y, 1:]
         a0, a1, a2, h0, h1, h2 = above, above[1:], above[2:], here, here[1:], here[2:]
         b0, b1, b2 = below, below[1:], below[2:]
         for x in range(width - 2):
             s = h1[x]
-            first = (s > a0[x]) & (s > a1[x]) & (s > a2[x]) & (s > h0[x])
+            first = (s > low) & (s > a0[x]) & (s > a1[x]) & (s > a2[x]) & (s > h0[x])
             out[x] = s * np.uint8(first & (s >= h2[x]) & (s >= b0[x]) & (s >= b1[x]) & (s >= b2[x]))
     return peaks
 
 
 @njit(cache=True)
-def grid_corners(image: NDArray[np.uint8], high: int, low: int, cell_px: int, wanted: int) -> NDArray[np.int32]:
-    """Local maxima of the corner score above a threshold that falls, cell by cell, where too few exceed it.
+def _cell_peaks(
+    peaks: NDArray[np.uint8], high: int, wanted: int
+) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]:
+    """Peaks by grid cell, those below ``high`` left out of cells that have ``wanted`` above it.
+
+    Returns:
+        Keys ``(n,)`` that are smaller the better the peak (its score, then reading order within the cell), where each
+        cell starts ``(cells + 1,)``, and how many peaks it has ``(cells,)`` (fewer than there is room).
+    """
+    height, width = peaks.shape
+    words = peaks.view(np.uint64)
+    rows, columns = -(-height // CELL_PX), -(-width // CELL_PX)
+    key = np.empty(height * width // 4 + 1, np.int32)
+    start = np.zeros(rows * columns + 1, np.int32)
+    counts = np.zeros(rows * columns, np.int32)
+    total = 0
+    for cell in range(rows * columns):
+        top, left = cell // columns * CELL_PX, cell % columns * CELL_PX
+        start[cell] = total
+        strong = 0
+        for y in range(top, min(top + CELL_PX, height)):
+            for word in range(left // 8, min(left + CELL_PX, width) // 8):
+                if words[y, word] == 0:
+                    continue
+                for x in range(8 * word, 8 * word + 8):
+                    score = np.int32(peaks[y, x])
+                    if score > 0:
+                        key[total] = (255 - score) << 16 | (y - top) * CELL_PX + x - left
+                        total += 1
+                        strong += score > high
+        counts[cell] = strong if strong >= wanted else total - start[cell]
+    start[rows * columns] = total
+    return key, start, counts
+
+
+@njit(cache=True)
+def grid_corners(image: NDArray[np.uint8], high: int, low: int, wanted: int, quota: int) -> NDArray[np.int32]:
+    """Corners spread evenly: the best of every grid cell first, then the second best of every cell, and so on.
+
+    The threshold falls, cell by cell, where too few exceed it. Of the last round the highest scores are taken.
 
     Args:
         image: ``(height, width)``.
         high: threshold [grey levels].
         low: threshold of cells with fewer than ``wanted`` corners above ``high``.
-        cell_px: side of a grid cell.
         wanted: corners a cell should have.
+        quota: corners to take from the image, at most.
 
     Returns:
-        ``(n, 4)``: x, y, score, rank of the corner within its cell (0 is the best).
+        ``(n, 3)``: x, y, score; cell by cell, best first.
     """
-    peaks = _keep_peaks(corner_scores(image))
-    height, width = peaks.shape
-    cell = np.empty((cell_px * cell_px, 3), np.int32)
-    out = np.empty((height * width // 4 + 1, 4), np.int32)
+    key, start, counts = _cell_peaks(_keep_peaks(corner_scores(image), low), high, wanted)
+    columns = -(-image.shape[1] // CELL_PX)
+    # how many rounds are taken in full, and what is left for the last
+    full, left = 0, quota
+    taken = np.sum(counts > 0)
+    while 0 < taken <= left:
+        full, left = full + 1, left - taken
+        taken = np.sum(counts > full)
+    out = np.empty((quota, 3), np.int32)
+    last = np.zeros(256, np.int32)  # scores of the last round
+    for cell in range(len(counts)):  # move the best to the front, in order
+        for rank in range(min(counts[cell], full + 1)):
+            here = start[cell] + rank
+            best = here
+            for k in range(here + 1, start[cell + 1]):
+                if key[k] < key[best]:
+                    best = k
+            key[here], key[best] = key[best], key[here]
+        if counts[cell] > full:
+            last[255 - (key[start[cell] + full] >> 16)] += 1
+    lowest = 255  # score from which on the last round is taken; of those that have it, ``left``
+    while lowest > 0 and last[lowest] <= left:
+        left -= last[lowest]
+        lowest -= 1
     total = 0
-    for top in range(0, height, cell_px):
-        for left in range(0, width, cell_px):
-            count, strong = 0, 0
-            for y in range(top, min(top + cell_px, height)):
-                for x in range(left, min(left + cell_px, width)):
-                    score = np.int32(peaks[y, x])
-                    if score > low:
-                        cell[count, 0], cell[count, 1], cell[count, 2] = x, y, score
-                        count += 1
-                        strong += score > high
-            order = np.argsort(-cell[:count, 2], kind="mergesort")
-            for rank in range(strong if strong >= wanted else count):
-                k = order[rank]
-                out[total, 0], out[total, 1], out[total, 2], out[total, 3] = cell[k, 0], cell[k, 1], cell[k, 2], rank
-                total += 1
+    for cell in range(len(counts)):
+        for rank in range(min(counts[cell], full + 1)):
+            at, score = key[start[cell] + rank] & 0xFFFF, 255 - (key[start[cell] + rank] >> 16)
+            if rank == full:
+                if score < lowest or (score == lowest and left == 0):
+                    continue
+                left -= score == lowest
+            out[total, 0] = cell % columns * CELL_PX + at % CELL_PX
+            out[total, 1] = cell // columns * CELL_PX + at // CELL_PX
+            out[total, 2] = score
+            total += 1
     return out[:total]
 
 
 @njit(cache=True)
 def describe(
-    image: NDArray[np.uint8],
-    smooth: NDArray[np.uint8],
-    corners: NDArray[np.int32],
-    half_widths: NDArray[np.int32],
-    pattern: NDArray[np.int8],
+    image: NDArray[np.uint8], smooth: NDArray[np.uint8], corners: NDArray[np.int32]
 ) -> tuple[NDArray[np.float32], NDArray[np.uint64]]:
     """Orientation [rad] ``(n,)`` and descriptor ``(n, 4)`` uint64 of corners ``(n, >=2)`` x, y."""
     n = len(corners)
     angle = np.empty(n, np.float32)
     descriptor = np.empty((n, 4), np.uint64)
-    radius = len(half_widths) - 1
     stride = smooth.shape[1]
     flat = smooth.ravel()
-    offset = np.empty((_TURNS, 256, 2), np.int32)
+    offset = np.empty((_TURNS, 2, 256), np.int64)
     for turn in range(_TURNS):
         for k in range(256):
             for point in range(2):
-                offset[turn, k, point] = pattern[turn, k, 2 * point] + stride * np.int32(
-                    pattern[turn, k, 2 * point + 1]
-                )
+                offset[turn, point, k] = _PATTERN[turn, k, 2 * point] + stride * _PATTERN[turn, k, 2 * point + 1]
+    side = 2 * _PATCH_RADIUS + 1
+    columns, weighted = np.empty(side, np.int32), np.empty(side, np.int32)
     for i in range(n):
         x, y = corners[i, 0], corners[i, 1]
-        mx = np.int32(0)
-        my = np.int32(0)
-        for dy in range(-radius, radius + 1):
-            row = np.int32(0)
-            for dx in range(-half_widths[abs(dy)], half_widths[abs(dy)] + 1):
-                value = np.int32(image[y + dy, x + dx])
-                row += value
-                mx += np.int32(dx) * value
-            my += np.int32(dy) * row
+        columns[:] = 0
+        weighted[:] = 0
+        for row in range(side):
+            pixels, mask = image[y + row - _PATCH_RADIUS, x - _PATCH_RADIUS :], _DISC[row]
+            down = np.int32(row - _PATCH_RADIUS)
+            for k in range(side):
+                value = np.int32(pixels[k] & mask[k])
+                columns[k] += value
+                weighted[k] += down * value
+        mx, my = 0, 0
+        for k in range(side):
+            mx += (k - _PATCH_RADIUS) * columns[k]
+            my += weighted[k]
         angle[i] = math.atan2(my, mx)
         turn = round(angle[i] * _TURNS / (2.0 * math.pi)) % _TURNS
-        at = y * stride + x
+        at = np.int64(y * stride + x)
         for word in range(4):
+            ones, twos = offset[turn, 0, 64 * word :], offset[turn, 1, 64 * word :]
             bits = np.uint64(0)
-            for k in range(64):
-                first, second = offset[turn, word * 64 + k, 0], offset[turn, word * 64 + k, 1]
-                bits |= np.uint64(flat[at + first] < flat[at + second]) << np.uint64(k)
+            for k in range(64):  # unsigned positions: no test for negative ones
+                brighter = flat[np.uint64(at + ones[k])] < flat[np.uint64(at + twos[k])]
+                bits |= np.uint64(brighter) << np.uint64(k)
             descriptor[i, word] = bits
     return angle, descriptor
-
-
-HALF_WIDTHS = np.array([math.floor(math.sqrt(_PATCH_RADIUS**2 - dy**2)) for dy in range(_PATCH_RADIUS + 1)], np.int32)
-"""Half the width of each row of the round orientation patch."""
-
-PATTERN = _comparison_pattern()

@@ -47,14 +47,24 @@ class MotionPrior:
         max_yaw_rad: largest yaw increment searched for, either sign.
         noise: expected position noise on the image plane (unit focal length).
         tilt_std_rad: standard deviation of roll and pitch increments.
-        slip_std: standard deviation of sideways and vertical motion, as a share of the distance.
+        slip_mean, slip_std: expected sideways motion and its standard deviation, as shares of the distance.
+        heave_mean, heave_std: the same of vertical motion.
     """
 
     distance_m: float
     max_yaw_rad: float
     noise: float
     tilt_std_rad: float = 0.003
+    slip_mean: float = 0.0
     slip_std: float = 0.05
+    heave_mean: float = 0.0
+    heave_std: float = 0.05
+
+    def offset(self) -> tuple[FloatArray, FloatArray]:
+        """Mean [m] and standard deviation [m] of slip and heave, ``(2,)`` each, over this distance."""
+        s = _moving(self.distance_m)
+        std = [math.hypot(share * s, _SLIP_FLOOR_M) for share in (self.slip_std, self.heave_std)]
+        return np.array([self.slip_mean, self.heave_mean]) * s, np.array(std)
 
 
 @dataclass(frozen=True)
@@ -66,6 +76,7 @@ class Motion:
         yaw_std_rad: its standard deviation, from the residuals.
         pitch_rad, roll_rad: tilt increments.
         slip_m, heave_m: motion of the camera to the left and up, beyond the arc.
+        slip_std_m, heave_std_m: their standard deviations, prior included.
         inlier: ``(n,)`` bool, matches that agree.
         residual: median distance of the inliers from their epipolar lines, on the image plane; NaN without inliers.
     """
@@ -76,6 +87,8 @@ class Motion:
     roll_rad: float
     slip_m: float
     heave_m: float
+    slip_std_m: float
+    heave_std_m: float
     inlier: NDArray[np.bool_]
     residual: float
 
@@ -204,9 +217,10 @@ def refine_motion(
     yaw: float,
     noise: float,
     tilt_std: float,
-    slip_std: float,
+    offset: FloatArray,
+    offset_std: FloatArray,
     iterations: int,
-) -> tuple[FloatArray, float, float, FloatArray]:
+) -> tuple[FloatArray, NDArray[np.floating], float, FloatArray]:
     """Refine yaw, pitch, roll, slip, heave and mean inverse depth together, robustly.
 
     Args:
@@ -218,18 +232,18 @@ def refine_motion(
         yaw: start value [rad].
         noise: expected position noise on the image plane; the scale is then estimated from the residuals.
         tilt_std: prior of pitch and roll [rad].
-        slip_std: prior of slip and heave as a share of the distance.
+        offset: ``(2,)`` prior mean of slip and heave [m].
+        offset_std: ``(2,)`` prior standard deviation of slip and heave [m].
         iterations: reweighting steps.
 
     Returns:
-        The six unknowns, the variance of yaw [rad^2], the estimated noise, and ``(n,)`` residuals across the epipolar
+        The six unknowns, their covariance ``(6, 6)``, the estimated noise, and ``(n,)`` residuals across the epipolar
         lines (inf where the match contradicts the motion along its line: behind the camera, absurdly near or under the
         road).
     """
     n = first.shape[0]
     s = _moving(distance)
     c_t = np.ascontiguousarray(rotation.T)
-    slip_variance = (slip_std * s) ** 2 + _SLIP_FLOOR_M**2
     x = np.array([yaw, 0.0, 0.0, 0.0, 0.0, _MEAN_INVERSE_DEPTH])
     least = np.empty(n)
     for i in range(n):
@@ -315,8 +329,8 @@ def refine_motion(
             h[k, k] += variance / tilt_std**2
             g[k] += variance / tilt_std**2 * x[k]
         for k in range(3, 5):
-            h[k, k] += variance / slip_variance
-            g[k] += variance / slip_variance * x[k]
+            h[k, k] += variance / offset_std[k - 3] ** 2
+            g[k] += variance / offset_std[k - 3] ** 2 * (x[k] - offset[k - 3])
         h[5, 5] += variance / _SPREAD_INVERSE_DEPTH**2
         g[5] += variance / _SPREAD_INVERSE_DEPTH**2 * (x[5] - _MEAN_INVERSE_DEPTH)
         h[0, 0] += 1e-12
@@ -331,14 +345,19 @@ def refine_motion(
             robust = min(max(1.4826 * np.median(near), 0.1 * noise), 2.0 * noise)
             sigma = max(robust, 0.6 * sigma)
     covariance = np.linalg.inv(h) * sigma * sigma
-    return x, covariance[0, 0], sigma, residual
+    return x, covariance, sigma, residual
 
 
 _MIN_MATCHES = 8
 
 
 def estimate_motion(
-    first: FloatArray, second: FloatArray, rotation: FloatArray, position_m: FloatArray, prior: MotionPrior
+    first: FloatArray,
+    second: FloatArray,
+    rotation: FloatArray,
+    position_m: FloatArray,
+    prior: MotionPrior,
+    start_rad: float | None = None,
 ) -> Motion | None:
     """Motion of the car between two images of one camera.
 
@@ -347,7 +366,8 @@ def estimate_motion(
         second: ``(n, 2)`` the same on the second.
         rotation: ``(3, 3)`` ego from camera.
         position_m: ``(3,)`` camera in the ego frame; its height says where the road is.
-        prior: distance, search range and noise.
+        prior: distance, search range, noise and what the car is expected to do.
+        start_rad: yaw increment to refine, for instance of an earlier solution; ``None`` searches for it.
 
     Returns:
         ``None`` when fewer than 8 matches are given or the solution leaves the search range or is not finite.
@@ -355,34 +375,38 @@ def estimate_motion(
     if len(first) < _MIN_MATCHES:
         return None
     first, second = np.ascontiguousarray(first, dtype=np.float64), np.ascontiguousarray(second, dtype=np.float64)
-    tolerance = max(3.0 * prior.noise, 0.6 * prior.tilt_std_rad)
-    stride = max(1, len(first) // 300)
-    some, distance = slice(None, None, stride), prior.distance_m
-    yaw, _ = vote_yaw(
-        first[some], second[some], rotation, position_m, distance, prior.max_yaw_rad, tolerance, tolerance
-    )
-    unknowns, variance, sigma, residual = refine_motion(
+    distance = prior.distance_m
+    if start_rad is None:
+        tolerance = max(3.0 * prior.noise, 0.6 * prior.tilt_std_rad)
+        some = slice(None, None, max(1, len(first) // 300))
+        start_rad, _ = vote_yaw(
+            first[some], second[some], rotation, position_m, distance, prior.max_yaw_rad, tolerance, tolerance
+        )
+    unknowns, covariance, sigma, residual = refine_motion(
         first,
         second,
         rotation,
         position_m,
         distance,
-        yaw,
+        start_rad,
         prior.noise,
         prior.tilt_std_rad,
-        prior.slip_std,
+        *prior.offset(),
         10,
     )
-    if not np.isfinite(unknowns).all() or not variance > 0.0 or abs(unknowns[0]) > 1.2 * prior.max_yaw_rad:
+    std = np.sqrt(np.diag(covariance))
+    if not np.isfinite(unknowns).all() or not (std > 0.0).all() or abs(unknowns[0]) > 1.2 * prior.max_yaw_rad:
         return None
     inlier = np.abs(residual) < 3.0 * sigma
     return Motion(
         yaw_rad=float(unknowns[0]),
-        yaw_std_rad=_OPTIMISM * math.sqrt(variance),
+        yaw_std_rad=_OPTIMISM * float(std[0]),
         pitch_rad=float(unknowns[1]),
         roll_rad=float(unknowns[2]),
         slip_m=float(unknowns[3]),
         heave_m=float(unknowns[4]),
+        slip_std_m=float(std[3]),
+        heave_std_m=float(std[4]),
         inlier=inlier,
         residual=float(np.median(np.abs(residual[inlier]))) if inlier.any() else math.nan,
     )

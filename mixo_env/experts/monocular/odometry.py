@@ -11,10 +11,13 @@ from mixo_env.errors import DatasetError
 from mixo_env.experts.expert import CameraStep, State
 from mixo_env.experts.monocular.camera import MountedCamera, mount
 from mixo_env.experts.monocular.config import MonocularConfig
+from mixo_env.experts.monocular.course import Course
+from mixo_env.experts.monocular.motion import Motion, estimate_motion
 from mixo_env.experts.monocular.pair import Frame, Pair, PairSolver
 from mixo_env.nuscenes.scene import CameraCalibration
 
 _FROZEN_DISTANCE_M = 0.05  # moving at least so far must change at least one pixel
+_FARTHEST_STD = 4.0  # a refined yaw increment must lie within so many standard deviations of that of the pair alone
 
 
 class MonocularOdometry:
@@ -47,12 +50,18 @@ class MonocularOdometry:
         self.config = config or MonocularConfig()
         self.camera: MountedCamera = mount(calibration, self.config.max_pixels)
         self._solver = PairSolver(self.camera, self.config)
+        self._course = Course(self.config.slip_std, self.config.course_spread)
         self._previous: Frame | None = None
         self._last_timestamp_us: int | None = None
         self._last_image: NDArray[np.uint8] | None = None
         self._state = State.INITIALISING
         self._good_pairs = 0
         self._good_distance_m = 0.0
+
+    @property
+    def halvings(self) -> int:
+        """How often images are halved before work starts; they may come so already."""
+        return self.camera.halvings
 
     def process(self, image: NDArray[np.uint8], timestamp_us: int, distance_m: float) -> CameraStep:
         """Take the next image.
@@ -115,15 +124,26 @@ class MonocularOdometry:
             moved = self._good_distance_m >= config.initial_distance_m and self._good_pairs >= config.initial_pairs
             if moved or self._good_pairs >= config.initial_patience_pairs:
                 self._state = State.TRACKING
-        tracking = self._state is State.TRACKING and motion is not None
+        refined = self._refined(pair, motion) if good and pair is not None and motion is not None else None
+        tracking = self._state is State.TRACKING and refined is not None
         focal = float(np.mean(self.camera.focal_px))
         return CameraStep(
             state=self._state,
-            yaw_increment_rad=motion.yaw_rad if tracking and motion else math.nan,
-            yaw_std_rad=motion.yaw_std_rad if tracking and motion else math.nan,
+            yaw_increment_rad=refined.yaw_rad if tracking and refined else math.nan,
+            yaw_std_rad=refined.yaw_std_rad if tracking and refined else math.nan,
             matches=0 if pair is None else pair.matches,
             inliers=inliers,
             residual_px=motion.residual * focal if motion is not None else math.nan,
             flow_px=math.nan if pair is None else pair.flow_px,
             two_frame_yaw_increment_rad=motion.yaw_rad if good and motion else math.nan,
         )
+
+    def _refined(self, pair: Pair, motion: Motion) -> Motion:
+        """The motion of a good pair, given the course that earlier pairs have shown; the course learns from it."""
+        prior = self._course.expect(pair.prior)
+        camera = self.camera
+        solved = estimate_motion(pair.first, pair.second, camera.rotation, camera.position_m, prior, motion.yaw_rad)
+        if solved is None or not abs(solved.yaw_rad - motion.yaw_rad) < _FARTHEST_STD * motion.yaw_std_rad:
+            return motion
+        self._course.learn(solved, prior)
+        return solved

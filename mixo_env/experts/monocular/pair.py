@@ -13,7 +13,7 @@ from mixo_env.experts.monocular.alignment import align_matches
 from mixo_env.experts.monocular.camera import MountedCamera
 from mixo_env.experts.monocular.config import MonocularConfig
 from mixo_env.experts.monocular.features import FeatureDetector, Features
-from mixo_env.experts.monocular.matching import match_features
+from mixo_env.experts.monocular.matching import PROBES, match_features
 from mixo_env.experts.monocular.motion import Motion, MotionPrior, estimate_motion
 from mixo_env.experts.monocular.vocabulary import GENERAL_VOCABULARY, load_vocabulary
 
@@ -27,12 +27,12 @@ class Frame:
     Attributes:
         image: ``(height, width)`` grey, working resolution.
         features: its corners.
-        node: ``(n,)`` vocabulary node of each corner.
+        words: ``(n, PROBES)`` nearest words of the vocabulary to each corner.
     """
 
     image: NDArray[np.uint8]
     features: Features
-    node: NDArray[np.int32]
+    words: NDArray[np.int32]
 
 
 @dataclass(frozen=True)
@@ -43,6 +43,7 @@ class Pair:
         matches: number of matched features.
         flow_px: their median displacement [px of the full image]; NaN without matches.
         first, second: ``(k, 2)`` aligned matches on the image planes, at most ``solver_matches``.
+        prior: what was known before.
         motion: ``None`` when none was found.
     """
 
@@ -50,6 +51,7 @@ class Pair:
     flow_px: float
     first: NDArray[np.float64]
     second: NDArray[np.float64]
+    prior: MotionPrior
     motion: Motion | None
 
 
@@ -65,7 +67,7 @@ class PairSolver:
     def frame(self, image: NDArray[np.uint8]) -> Frame:
         """Features of an image ``(height, width)`` at working resolution."""
         features = self._detector.detect(image)
-        return Frame(image, features, self._vocabulary.nodes(features.descriptor, self.config.fine_nodes))
+        return Frame(image, features, self._vocabulary.nearest(features.descriptor, PROBES))
 
     def compare(self, first: Frame, second: Frame, gap_s: float, distance_m: float) -> Pair:
         """Motion of the car from the first to the second image.
@@ -85,15 +87,16 @@ class PairSolver:
             ),
             config.noise_px * camera.pixel_size,
             config.tilt_std_rad,
-            config.slip_std,
+            slip_std=config.slip_std,
+            heave_std=config.slip_std,
         )
         radius = (prior.max_yaw_rad + abs(distance_m) / _NEAREST_M) / camera.pixel_size + 8.0
         i, j = match_features(
             first.features,
             second.features,
-            first.node,
-            second.node,
-            self._vocabulary.branches ** (2 if config.fine_nodes else 1),
+            first.words,
+            second.words,
+            len(self._vocabulary),
             radius,
             config.match_max_bits,
             config.match_ratio,
@@ -101,9 +104,9 @@ class PairSolver:
         p1, p2 = first.features.position_px[i], second.features.position_px[j]
         flow = float(np.median(np.hypot(*(p2 - p1).T))) * 2**camera.halvings if len(i) else math.nan
         if len(i) < config.min_matches:
-            return Pair(len(i), flow, camera.plane(p1), camera.plane(p2), None)
+            return Pair(len(i), flow, camera.plane(p1), camera.plane(p2), prior, None)
         picked = np.arange(0, len(i), -(-len(i) // config.solver_matches))
         p1, p2 = p1[picked], p2[picked]
         p2, aligned = align_matches(first.image, second.image, p1, p2)
         f1, f2 = camera.plane(p1[aligned]), camera.plane(p2[aligned])
-        return Pair(len(i), flow, f1, f2, estimate_motion(f1, f2, camera.rotation, camera.position_m, prior))
+        return Pair(len(i), flow, f1, f2, prior, estimate_motion(f1, f2, camera.rotation, camera.position_m, prior))

@@ -1,0 +1,134 @@
+"""The plan of the bundled recordings: what the benchmark is measured on."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from experiments import mixocity
+from experiments.mixocity import CONFIG, FULL_SIZE, full_size_scenes, planned_folds
+from mixo_env.errors import DatasetError
+from mixo_env.experts.monocular.config import MonocularConfig
+from mixo_env.nuscenes.selections import CAMERAS
+from mixo_env.recordings.collection import Recordings
+from mixo_env.recordings.folds import FOLDS, OUT_OF_DISTRIBUTION
+from mixo_env.recordings.store import load_recordings
+from mixo_env.simulator.scenario import plan_logs
+from mixo_env.simulator.scenes import scene_drive
+from tests.synthetic import synthetic_recordings
+
+
+def test_scenes_weather_and_folds():
+    logs = plan_logs(CONFIG)
+    assert (len(logs), CONFIG.cameras, CONFIG.seconds) == (26, CAMERAS, 20)
+    assert Counter(log.weather for log in logs) == {"day": 19, "rain": 5, "night": 2}
+    assert len({log.world_seed for log in logs}) == 26
+    fold_of = planned_folds()
+    assert Counter(fold_of.values()) == {0: 24, 1: 24, 2: 24, 3: 24, OUT_OF_DISTRIBUTION: 8}
+    for fold in range(FOLDS):
+        inside = [log for log in logs if {fold_of[scene.name] for scene in log.scenes} == {fold}]
+        assert len(inside) == 6
+        assert 1 <= sum(log.weather == "rain" for log in inside) <= 2
+        assert {log.vehicle for log in inside} == {"m001", "m002"}
+
+
+def test_every_situation_is_staged_and_most_scenes_are_ordinary():
+    logs = plan_logs(CONFIG)
+    staged = Counter(scene.situation for log in logs for scene in log.scenes)
+    assert set(staged) == {*CONFIG.situations.by_name(), "ordinary"}
+    assert min(staged.values()) >= 4
+    assert staged["ordinary"] > 104 / 2
+    by_day = {scene.situation for log in logs if log.weather != "night" for scene in log.scenes}
+    assert by_day == set(staged)
+    assert {log.weather for log in logs if log.low_texture} >= {"day"}
+
+
+def test_full_size_scenes_are_the_same_drives():
+    names = full_size_scenes()
+    small, large = (
+        {scene.name: (log, scene) for log in plan_logs(config) for scene in log.scenes}
+        for config in (CONFIG, FULL_SIZE)
+    )
+    assert len(names) == 8
+    for name in names:
+        (log, plan), (other, same) = small[name], large[name]
+        assert plan == same
+        for field in ("logfile", "vehicle", "weather", "world_seed", "sensors", "course_offset_rad"):
+            assert repr(getattr(log, field)) == repr(getattr(other, field))
+        for camera, true in log.rig.true.items():
+            twice = other.rig.true[camera]
+            assert np.array_equal(true.translation_m, twice.translation_m)
+            assert np.array_equal(true.rotation_ego_from_camera, twice.rotation_ego_from_camera)
+            scaled = 2 * (true.intrinsic[:2, 2] + 0.5) - 0.5
+            assert twice.intrinsic[:2, 2] == pytest.approx(scaled, abs=1e-9)
+    log, plan = small[names[0]]
+    other, same = large[names[0]]
+    one, two = scene_drive(CONFIG, log, plan), scene_drive(FULL_SIZE, other, same)
+    assert np.array_equal(one.x_m, two.x_m)
+    assert np.array_equal(one.yaw_rad, two.yaw_rad)
+    assert Counter(planned_folds()[name] for name in names) == dict.fromkeys(range(FOLDS), 2)
+
+
+@pytest.fixture
+def stages(monkeypatch) -> list[tuple]:
+    """The build without its hours: what was asked of every stage."""
+    asked: list[tuple] = []
+    drawn = synthetic_recordings(0)
+    entries = zip(drawn.scenes, full_size_scenes(), strict=True)
+    scenes = tuple(replace(scene, name=name, fold=-1) for scene, name in entries)
+
+    def record(dataset, config, out, workers, progress) -> Recordings:
+        asked.append(
+            ("record", dataset.name, out.name, config.data_version, config.monocular.features, config.variants)
+        )
+        return drawn.replace(replace(drawn.manifest, scenes=scenes, parameters={"skipped": {}}))
+
+    monkeypatch.setattr(mixocity, "simulate", lambda *given, **only: asked.append(("simulate", *given[:3], only)))
+    monkeypatch.setattr(
+        mixocity, "retrain", lambda dataset, cameras, *_, **__: asked.append(("retrain", cameras)) or {}
+    )
+    monkeypatch.setattr(mixocity, "open_dataset", lambda root: root)
+    monkeypatch.setattr(mixocity, "record", record)
+    return asked
+
+
+def test_stages_in_order(stages, tmp_path):
+    cache, out = tmp_path / "cache", tmp_path / "data"
+    mixocity.Build(cache=cache, out=out, workers=3).run()
+    assert [stage[0] for stage in stages] == ["simulate", "retrain", "retrain", "record", "simulate", "record"]
+    assert stages[0] == ("simulate", CONFIG, cache / "city", 3, {})
+    assert stages[4] == ("simulate", FULL_SIZE, cache / "full-size", 3, {"only": full_size_scenes()})
+    assert stages[1][1] == mixocity.RETRAINED
+    fast = MonocularConfig.preset("fast").features
+    assert stages[3] == ("record", "city", "mixocity", f"mixocity-{mixocity.DATA_VERSION}", fast, {})
+    assert stages[5][1:5] == ("full-size", "mixocity-paper", f"mixocity-paper-{mixocity.DATA_VERSION}", 8000)
+    put = load_recordings(out / "mixocity-paper")
+    assert {scene.name: scene.fold for scene in put.scenes} == {
+        name: planned_folds()[name] for name in full_size_scenes()
+    }
+    assert set(put.manifest.linear_weights["PAPER"]) == {"none", "0", "1", "2", "3"}
+
+
+def test_one_stage_alone_and_wrong_ones(stages, tmp_path, monkeypatch, caplog):
+    monkeypatch.setattr("sys.argv", ["mixocity", "--stages", "vocabularies", "--cache", str(tmp_path)])
+    assert mixocity.main() == 0
+    assert [stage[0] for stage in stages] == ["retrain"]
+    monkeypatch.setattr("sys.argv", ["mixocity", "--stages", "vocabulary"])
+    with pytest.raises(SystemExit):
+        mixocity.main()
+
+
+def test_a_recording_that_is_not_whole_is_not_put_in_place(stages, tmp_path, monkeypatch):
+    whole = mixocity.record
+
+    def broken(*given) -> Recordings:
+        recordings = whole(*given)
+        return recordings.replace(replace(recordings.manifest, parameters={"skipped": {"scene-2001": "no CAN bus"}}))
+
+    monkeypatch.setattr(mixocity, "record", broken)
+    with pytest.raises(DatasetError, match="not whole: 1 scenes"):
+        mixocity.Build(cache=tmp_path, out=tmp_path / "data", stages=("record",)).run()
+    assert not (tmp_path / "data").exists()

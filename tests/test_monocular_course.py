@@ -1,0 +1,80 @@
+"""The slow means of slip and heave: learnt from pairs, robust, and found by a side view."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from mixo_env.experts.monocular.course import Course
+from mixo_env.experts.monocular.motion import Motion, MotionPrior, camera_displacement, estimate_motion
+from mixo_env.geometry import rotation_from_yaw
+from tests.test_monocular_motion import AXES, street
+
+FOCAL, DISTANCE, LEVER = 630.0, 0.8, np.array([1.0, -0.5, 1.5])
+SIDE = rotation_from_yaw(math.radians(250)) @ AXES
+
+
+def measured(slip_m: float, heave_m: float, std_m: float) -> Motion:
+    return Motion(0.0, 0.001, 0.0, 0.0, slip_m, heave_m, std_m, std_m, np.ones(1, bool), 0.0)
+
+
+def test_before_anything_was_seen_the_prior_is_the_wide_one() -> None:
+    prior = Course(0.05, 0.0001).expect(MotionPrior(DISTANCE, 0.1, 0.001))
+    assert (prior.slip_mean, prior.heave_mean) == (0.0, 0.0)
+    assert prior.slip_std == pytest.approx(0.05, rel=1e-4)
+    assert prior.heave_std == pytest.approx(0.05, rel=1e-4)
+
+
+def test_one_pair_is_combined_as_two_gaussians() -> None:
+    """A pair's posterior is freed of its prior, then weighted with the mean: worked by hand."""
+    course, wide = Course(0.05, 0.01), MotionPrior(DISTANCE, 0.1, 0.001)
+    prior_std = wide.offset()[1][0]
+    seen_m, seen_std = 0.016, 0.012  # what the images alone say
+    weight = 1.0 / seen_std**2 + 1.0 / prior_std**2
+    course.learn(measured(seen_m / seen_std**2 / weight, 0.0, weight**-0.5), wide)
+    variance = (seen_std / DISTANCE) ** 2 + 0.01**2
+    expected = (seen_m / DISTANCE / variance) / (1.0 / variance + 1.0 / 0.05**2)
+    after = course.expect(wide)
+    assert after.slip_mean == pytest.approx(expected)
+    assert after.slip_std**2 == pytest.approx(0.01**2 + 1.0 / (1.0 / variance + 1.0 / 0.05**2))
+
+
+def test_standstill_and_a_wild_pair_teach_nothing() -> None:
+    course = Course(0.05, 0.006)
+    for _ in range(30):
+        prior = course.expect(MotionPrior(DISTANCE, 0.1, 0.001))
+        course.learn(measured(-0.008, 0.0, 0.003), prior)
+    learnt = course.expect(MotionPrior(DISTANCE, 0.1, 0.001)).slip_mean
+    assert learnt == pytest.approx(-0.01, abs=0.002)
+    course.learn(measured(0.4, 0.4, 0.003), course.expect(MotionPrior(DISTANCE, 0.1, 0.001)))
+    course.learn(measured(0.001, 0.0, 0.001), course.expect(MotionPrior(0.0, 0.1, 0.001)))
+    assert course.expect(MotionPrior(DISTANCE, 0.1, 0.001)).slip_mean == learnt
+
+
+def test_a_side_view_finds_the_course() -> None:
+    """A car that travels 0.6 degrees beside its heading, 40 pairs of a side camera: no worse than each pair alone."""
+    rng, slip, course = np.random.default_rng(0), -0.0105, Course(0.05, 0.006)
+    x, y = camera_displacement(0.0, DISTANCE, LEVER[0], LEVER[1])
+    errors = []
+    for _ in range(40):
+        before = street(rng, 250, FOCAL, SIDE)
+        after = before - [x, y + slip * DISTANCE, 0.0]
+        seen = [points @ SIDE for points in (before, after)]
+        ahead = (seen[0][:, 2] > 1.0) & (seen[1][:, 2] > 1.0)
+        first, second = (
+            points[ahead, :2] / points[ahead, 2:] + rng.normal(0.0, 0.3 / FOCAL, (int(ahead.sum()), 2))
+            for points in seen
+        )
+        alone = MotionPrior(DISTANCE, 0.08, 0.35 / FOCAL)
+        prior = course.expect(alone)
+        solved = estimate_motion(first, second, SIDE, LEVER, alone)
+        assert solved is not None
+        refined = estimate_motion(first, second, SIDE, LEVER, prior, solved.yaw_rad)
+        assert refined is not None
+        course.learn(refined, prior)
+        errors.append((solved.yaw_rad, refined.yaw_rad))
+    alone_rms, refined_rms = np.sqrt(np.mean(np.square(errors[10:]), axis=0))
+    assert refined_rms < 1.02 * alone_rms
+    assert course.expect(MotionPrior(DISTANCE, 0.08, 0.001)).slip_mean == pytest.approx(slip, abs=0.004)

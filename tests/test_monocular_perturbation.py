@@ -1,0 +1,105 @@
+"""No measured yaw rate enters a camera's own increment: a simulated drive recorded again with its gyros gone mad."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+import pytest
+import simplejpeg
+
+from mixo_env.experts.expert import State
+from mixo_env.experts.inertial import InertialOdometry
+from mixo_env.experts.monocular.config import MonocularConfig
+from mixo_env.experts.monocular.odometry import MonocularOdometry
+from mixo_env.nuscenes.can_bus import read_can_bus
+from mixo_env.nuscenes.scene import CanBus, Scene, Signal
+from mixo_env.nuscenes.writer import write_can_bus
+from mixo_env.recordings.steps import Columns, Experts, record_scene
+from mixo_env.simulator.config import SimulationConfig
+from mixo_env.simulator.scenario import plan_logs
+from mixo_env.simulator.scenes import simulate_scene
+from tests.corridor import HEIGHT, WIDTH, picture
+
+CAMERAS = ("CAM_FRONT", "CAM_BACK_RIGHT")
+EXPERTS = Experts(partial(MonocularOdometry, config=MonocularConfig(features=600)), InertialOdometry)
+
+
+@dataclass(frozen=True)
+class Recorded:
+    """A scene and what the experts made of it."""
+
+    scene: Scene
+    columns: Columns
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory: pytest.TempPathFactory) -> Recorded:
+    """Two seconds of a simulated drive with its whole CAN bus; the pictures are those of the corridor, drawn faster."""
+    folder = tmp_path_factory.mktemp("drive")
+    config = SimulationConfig(scenes=1, seconds=2, width=WIDTH, height=HEIGHT, cameras=CAMERAS)
+    (log,) = plan_logs(config)
+    simulated = simulate_scene(config, log, log.scenes[0], folder)
+    write_can_bus(folder, simulated.scene.name, simulated.messages)
+    scene = replace(simulated.scene, can_bus=read_can_bus(folder / "can_bus", simulated.scene.name))
+    start = scene.cameras[CAMERAS[0]]
+    heading = float(start.yaw_rad[0])
+    for track in scene.cameras.values():
+        along = ((track.x_m - start.x_m[0]) + 1j * (track.y_m - start.y_m[0])) * np.exp(-1j * heading)
+        for path, place, yaw in zip(track.image_paths, along, track.yaw_rad - heading, strict=True):
+            image = picture(track.calibration, place.real, place.imag, float(yaw))
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_bytes(simplejpeg.encode_jpeg(image[..., None], colorspace="GRAY"))
+    columns, _ = record_scene(scene, EXPERTS)
+    return Recorded(scene, columns)
+
+
+def again(scene: Scene, **signals: Signal) -> Columns:
+    """The columns with other CAN bus messages."""
+    assert isinstance(scene.can_bus, CanBus)
+    return record_scene(replace(scene, can_bus=replace(scene.can_bus, **signals)), EXPERTS)[0]
+
+
+def changed(recorded: Recorded, other: Columns) -> set[str]:
+    return {name for name, values in recorded.columns.items() if values.tobytes() != other[name].tobytes()}
+
+
+@pytest.mark.parametrize(
+    ("source", "grade"),
+    [
+        ("imu_yaw_rate_radps", "INERTIAL"),
+        ("pose_yaw_rate_radps", "INERTIAL_POSE"),
+        ("consumer_yaw_rate_radps", "INERTIAL_CONSUMER"),
+        ("monitor_yaw_rate_radps", None),  # nobody reads it where there is a production gyro
+    ],
+)
+def test_own_increments_do_not_know_any_gyro(recorded: Recorded, source: str, grade: str | None) -> None:
+    sent = getattr(recorded.scene.can_bus, source)
+    wild = Signal(sent.timestamp_us, -3.0 * sent.value + np.random.default_rng(0).normal(0.3, 1.0, len(sent.value)))
+    names = changed(recorded, again(recorded.scene, **{source: wild}))
+    own = {f"{grade}.yaw_increment_rad"} if grade else set()
+    # INERTIAL carries increments from the cameras' own times to the closing times; the own windows stay.
+    carried = {
+        f"{camera}.{name}" for camera in CAMERAS for name in ("yaw_increment_rad", "two_frame_yaw_increment_rad")
+    }
+    assert own <= names <= own | (carried if grade == "INERTIAL" else set())
+
+
+def test_there_is_something_to_compare(recorded: Recorded) -> None:
+    for camera in CAMERAS:
+        tracking = recorded.columns[f"{camera}.state"] == State.TRACKING
+        own = recorded.columns[f"{camera}.own_window_yaw_increment_rad"]
+        assert tracking.sum() > 10
+        np.testing.assert_array_equal(np.isfinite(own), tracking)
+
+
+def test_wheel_speeds_do_enter(recorded: Recorded) -> None:
+    """The distance is the scale of every camera: a recording that ignored the CAN bus would pass above."""
+    wheels = recorded.scene.can_bus and recorded.scene.can_bus.wheel_speed_radps
+    assert wheels is not None
+    faster = Signal(wheels.timestamp_us, 1.1 * wheels.value)
+    names = changed(recorded, again(recorded.scene, wheel_speed_radps=faster))
+    assert {f"{camera}.own_window_yaw_increment_rad" for camera in CAMERAS} <= names
+    assert "distance_m" in names
+    assert not [name for name in names if name.startswith(("truth", "exact"))]
