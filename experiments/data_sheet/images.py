@@ -124,14 +124,15 @@ def alone(paths: Iterable[Path]) -> dict[str, Numbers]:
 
 def simulated_pictures(city: City, per_group: int = 48) -> dict[str, dict[str, Numbers]]:
     """Single pictures by group: every camera by day, and all cameras in rain, at night and in cities of low texture."""
-    groups: dict[str, list[Path]] = {}
+    conditions = ("rain", "night", "low texture")
+    groups: dict[str, list[Path]] = {group: [] for group in (*(f"{c} day" for c in city.config.cameras), *conditions)}
     for log, plan in city.scenes():
         kind = log.weather if log.weather != "day" else "low texture" if log.low_texture else "day"
         for channel in city.config.cameras:
             track = city.dataset.track(plan.name, channel)
             group = f"{channel} day" if kind == "day" else kind
-            groups.setdefault(group, []).extend(track.image_paths[5::20])
-    return {group: alone(evenly(paths, per_group)) for group, paths in groups.items()}
+            groups[group].extend(track.image_paths[5::20])
+    return {group: alone(evenly(paths, per_group)) for group, paths in groups.items() if paths}
 
 
 def simulated_pairs(city: City, per_group: int = 48) -> dict[str, dict[str, Numbers]]:

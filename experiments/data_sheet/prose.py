@@ -26,7 +26,7 @@ HOW_MADE = """## How it was made
 5. **Record.** The project's experts run over the images once (`mixo record`). Only the recordings are shipped.
 
 Calibrated were pictures, motion and CAN bus, against the real figures below and nothing else: neither expert
-failures nor shares of locally best cameras nor the order of methods were looked at while settings were chosen.
+failures nor shares of locally best cameras nor the order of methods were looked at while the simulator was set.
 """
 
 LOGS = """Every log is one drive of one of two cars through a city of its own. Wheel radius: mean of the rear axle;
@@ -34,7 +34,8 @@ course: direction of travel minus heading; lag: of the written poses; then the c
 sensors."""
 
 SAMPLES = """Every situation and condition once, from the first such scene by day: the middle image; in traffic the
-image that moving vehicles (lead truck, following van: of that kind) cover most, up to 60 %; in turns the sharpest."""
+image that moving vehicles (lead truck, following van: of that kind) cover most, up to 60 %; in turns the sharpest; of
+low texture the barest."""
 
 BESIDE = """## Beside real data
 
@@ -79,16 +80,15 @@ radii: among the four wheels, which turning contributes to. `production` is an a
 
 DIFFERENCES = """Beyond figures:
 
-* Nobody walks or cycles; there are no traffic lights, no animals, no roadworks. Vehicles are of four kinds and
-  never change lanes except around an obstacle.
-* Streets form a grid of straight, level roads with right-hand traffic. There are no curved roads, no hills,
-  bridges, tunnels, parks or motorways, and one style of architecture.
-* The lens is a pinhole without distortion (nuScenes images are undistorted as well), the shutter is global, edges
-  of surfaces are not anti-aliased.
+* Nobody walks or cycles; traffic lights stand at the corners but rule nobody. Vehicles are of four kinds and leave
+  their lane only to pass one that stands in it.
+* Streets form a grid of straight, level roads with right-hand traffic: no bends, hills, bridges, tunnels or
+  motorways, and one style of architecture. Gentle turns come from passing vehicles and from wandering in the lane.
+* The lens is a pinhole without distortion (nuScenes images are undistorted as well), the shutter is global.
 * In rain the road mirrors what the picture shows and vehicles throw up spray; no drops fall and none stick to the
   lens.
 * Only the body's motion shakes the cameras; the rig does not bend.
-* Ten paints and a few dozen facades repeat between logs, in other places and lights.
+* Paints, facades and vehicle shapes repeat between logs, in other places and other light.
 * Two cars, whose constants vary from log to log; real fleets differ more.
 """
 

@@ -13,7 +13,8 @@ import numpy as np
 from experiments.data_sheet.folder import City
 from experiments.data_sheet.motion import PERCENTILES, Numbers, forward_speed_mps
 from experiments.data_sheet.motion import Path as Way
-from experiments.data_sheet.movers import MoverShares, Sight, matched_sight, scene_sights
+from experiments.data_sheet.movers import EVERY, MoverShares, Sight, matched_sight, scene_sights
+from experiments.picture_statistics import read_gray
 from mixo_env.nuscenes.tables import open_dataset
 from mixo_env.simulator.scenario import LogPlan, ScenePlan
 
@@ -58,6 +59,13 @@ def _turning(city: City, log: LogPlan, plan: ScenePlan, channel: str) -> int:
     return int(np.argmax(np.abs(yaw[8:] - yaw[:-8]))) + 4
 
 
+def _barest(city: City, log: LogPlan, plan: ScenePlan, channel: str) -> int:
+    """The image with the fewest corners, of every tenth."""
+    paths = city.dataset.track(plan.name, channel).image_paths[::EVERY]
+    fast = cv2.FastFeatureDetector.create(12)
+    return EVERY * int(np.argmin([len(fast.detect(read_gray(path), None)) for path in paths]))
+
+
 SITUATIONS: dict[str, tuple[str, str, Choice]] = {
     "ordinary": ("Ordinary drive", "CAM_FRONT", _middle),
     "lead_truck": ("Lead truck", "CAM_FRONT", _fullest("truck")),
@@ -73,12 +81,12 @@ SITUATIONS: dict[str, tuple[str, str, Choice]] = {
 """Staged situation -> title, the camera that shows it, and which of its images: the middle one, the one that movers
 cover most, or the middle of the sharpest turn."""
 
-CONDITIONS: dict[str, tuple[str, str, Callable[[LogPlan], bool]]] = {
-    "low_texture": ("Low texture", "CAM_BACK_RIGHT", lambda log: log.low_texture and log.weather == "day"),
-    "rain": ("Rain", "CAM_FRONT", lambda log: log.weather == "rain"),
-    "night": ("Night", "CAM_FRONT", lambda log: log.weather == "night"),
+CONDITIONS: dict[str, tuple[str, str, Choice, Callable[[LogPlan], bool]]] = {
+    "low_texture": ("Low texture", "CAM_BACK_RIGHT", _barest, lambda log: log.low_texture and log.weather == "day"),
+    "rain": ("Rain", "CAM_FRONT", _middle, lambda log: log.weather == "rain"),
+    "night": ("Night", "CAM_FRONT", _middle, lambda log: log.weather == "night"),
 }
-"""Condition of a whole log -> title, camera and test; shown by the middle image of its first ordinary scene."""
+"""Condition of a whole log -> title, camera, which image, and test; shown by its first ordinary scene."""
 
 
 def write_situations(city: City, folder: Path, width: int = 480) -> list[Sample]:
@@ -92,13 +100,13 @@ def write_situations(city: City, folder: Path, width: int = 480) -> list[Sample]
             log, plan = clear[0]
             index = choice(city, log, plan, channel)
             samples.append(_picture(city, plan, channel, index, title, folder / f"{situation}.jpg", width))
-    for condition, (title, channel, holds) in CONDITIONS.items():
+    for condition, (title, channel, choice, holds) in CONDITIONS.items():
         fitting = sorted(
             ((log, plan) for log, plan in scenes if holds(log)), key=lambda scene: scene[1].situation != "ordinary"
         )
         if fitting and channel in city.config.cameras:
             log, plan = fitting[0]
-            index = _middle(city, log, plan, channel)
+            index = choice(city, log, plan, channel)
             samples.append(_picture(city, plan, channel, index, title, folder / f"{condition}.jpg", width))
     return samples
 
@@ -122,9 +130,12 @@ def write_strip(city: City, folder: Path, width: int = 1440) -> Sample:
     """All six cameras at one instant, rendered anew: the folder holds those that were asked for."""
     from mixo_env.simulator.dataset import simulate
 
-    plans = [plan for _, plan in city.scenes()]
-    plan = next((plan for plan in plans if plan.situation == "ordinary" and _moves(city, plan)), plans[0])
-    config = replace(city.config, cameras=STRIP, seconds=2)
+    scenes = list(city.scenes())
+    clear = [
+        plan for log, plan in scenes if log.weather == "day" and not log.low_texture and plan.situation == "ordinary"
+    ]
+    plan = next((plan for plan in clear if _moves(city, plan)), scenes[0][1])
+    config = replace(city.config, cameras=STRIP, seconds=2, images=True)
     tile = width // 3, width * 9 // 48
     with TemporaryDirectory() as temporary:
         simulate(config, Path(temporary), only=(plan.name,))
@@ -135,10 +146,9 @@ def write_strip(city: City, folder: Path, width: int = 1440) -> Sample:
             image = cv2.imread(str(track.image_paths[np.flatnonzero(track.is_keyframe)[1]]))
             assert image is not None
             image = cv2.resize(image, tile, interpolation=cv2.INTER_AREA)
-            for colour, thickness in ((0, 3), (255, 1)):
-                cv2.putText(
-                    image, channel, (8, 18), cv2.FONT_HERSHEY_SIMPLEX, 0.5, (colour,) * 3, thickness, cv2.LINE_AA
-                )
+            (label_width, _), _ = cv2.getTextSize(channel, cv2.FONT_HERSHEY_SIMPLEX, 0.5, 1)
+            cv2.rectangle(image, (0, 0), (label_width + 12, 24), (0, 0, 0), -1)
+            cv2.putText(image, channel, (6, 17), cv2.FONT_HERSHEY_SIMPLEX, 0.5, (255,) * 3, 1, cv2.LINE_AA)
             tiles.append(image)
     _write(folder / "cameras.jpg", np.vstack([np.hstack(tiles[:3]), np.hstack(tiles[3:])]))
     return Sample("cameras.jpg", "All six cameras", f"{plan.name}, second key frame of a two-second drive in its city")

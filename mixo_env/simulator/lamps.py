@@ -9,6 +9,7 @@ import numpy as np
 from numba import float32, njit
 from numpy.typing import NDArray
 
+from mixo_env.simulator.compiling import INLINED
 from mixo_env.simulator.vehicles import VEHICLE_KINDS, VehicleState
 
 WINDOW = 512
@@ -28,9 +29,9 @@ def _add_beams(window, origin, beams):
             for column in range(max(0, int(x) - 28), min(side, int(x) + 29)):
                 dx, dy = column + 0.5 - x, row + 0.5 - y
                 ahead, aside = c * dx + s * dy, c * dy - s * dx
-                if ahead > 0.5:
+                fade = max(1.0 - ahead / 28.0, 0.0)
+                if ahead > 0.5 and fade > 0.0:
                     angle = aside / ahead
-                    fade = max(1.0 - ahead / 28.0, 0.0)
                     window[row, column] += 30.0 / (ahead * ahead + 25.0) * np.exp(-6.0 * angle * angle) * fade
 
 
@@ -65,7 +66,7 @@ def _bright(radiance, threshold, cells):
                     cells[y // _CELL, x // _CELL, c] += 4 * excess
 
 
-@njit(cache=True, error_model="numpy", forceinline=True, _nrt=False)
+@njit(**INLINED)
 def _between(cells, i, j, channel, b):
     """Value on the left of a cell at height ``b`` (0..1), and how much more there is on its right."""
     b, rest = float32(b), float32(1.0 - b)

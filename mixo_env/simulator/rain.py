@@ -9,6 +9,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from mixo_env.simulator.compiling import INLINED
 from mixo_env.simulator.mesh import GROUND, SOLID
 from mixo_env.simulator.vehicles import VEHICLE_KINDS, VehicleState
 
@@ -100,7 +101,7 @@ def mirror_road(radiance, owner, depth, mark, rotation, position, lens, clouds, 
 _HALF = (0xFFFFF << 42) | (0xFFFFF << 21) | 0xFFFFF
 
 
-@njit(cache=True, error_model="numpy", forceinline=True, _nrt=False)
+@njit(**INLINED)
 def _mixed(first, second, share):
     """Packed radiance: share / 256 of the second, the rest of the first."""
     r = ((first & _FIELD) * (256 - share) + (second & _FIELD) * share) >> 8

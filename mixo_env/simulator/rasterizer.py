@@ -15,6 +15,7 @@ import numpy as np
 from numba import float32, int32, njit
 from numpy.typing import NDArray
 
+from mixo_env.simulator.compiling import INLINED
 from mixo_env.simulator.mesh import CUT_OUT, TWO_SIDED, PatchSet
 
 NEAR_M = 0.2
@@ -118,7 +119,7 @@ def _not_hidden(farthest, nearest, tiles, chosen):
     return kept[:count]
 
 
-@njit(cache=True, error_model="numpy", forceinline=True, _nrt=False)
+@njit(**INLINED)
 def _rows(corner, fy, cy, height):
     """First and last pixel row that the polygon's part before the camera can touch."""
     lowest, highest = 1e9, -1e9
@@ -135,7 +136,7 @@ def _rows(corner, fy, cy, height):
     return max(0, int(np.ceil(max(lowest, 0.0)))), int(np.floor(min(highest, height - 1.0)))
 
 
-@njit(cache=True, error_model="numpy", forceinline=True, _nrt=False)
+@njit(**INLINED)
 def _fill(depths, owners, row, begin, end, start, step, slot):
     """Keep the nearer of what is there and a span whose 1/z begins at ``start``; unconditional stores run in SIMD."""
     depth, owner = depths[row, begin : end + 1], owners[row, begin : end + 1]
@@ -147,7 +148,7 @@ def _fill(depths, owners, row, begin, end, start, step, slot):
         owner[i] = number if nearer else owner[i]
 
 
-@njit(cache=True, error_model="numpy", forceinline=True, _nrt=False)
+@njit(**INLINED)
 def _fill_cut_out(plane, slot, row, begin, end, number, texels, table, depth, owner):
     """Like the plain fill, but only where the texture covers; one reduction per row."""
     p0, p1, p2 = plane[slot, 0] + plane[slot, 2] * row, plane[slot, 1], plane[slot, 2]
@@ -175,7 +176,7 @@ def _fill_cut_out(plane, slot, row, begin, end, number, texels, table, depth, ow
                 owner[row, column] = slot
 
 
-@njit(cache=True, error_model="numpy", forceinline=True, _nrt=False)
+@njit(**INLINED)
 def _copy(source, q, target, slot):
     for j in range(source.shape[1]):
         target[slot, j] = source[q, j]

@@ -1,10 +1,6 @@
 """Reading textures, shadow maps and lamp maps at one point: the innermost loops of the renderer.
 
 Texel coordinates are whole numbers in units of 1/65536 texel where a loop steps along them.
-
-These functions, and the short loops of the other modules of the renderer, are compiled into their callers
-(``forceinline``) and do not count references to arrays (``_nrt=False``): for a run of twenty pixels the counting cost
-as much as the arithmetic. Such a function may cut arrays into views, but must neither make nor return one.
 """
 
 from __future__ import annotations
@@ -14,6 +10,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from mixo_env.simulator.compiling import INLINED
 from mixo_env.simulator.shadows import EXTENT_M, FIELD_TEXELS_PER_M, PICTURE_TEXELS_PER_M
 
 CELL_SHIFT = 3
@@ -27,7 +24,7 @@ _U8 = np.uint64(8)
 _LANES = np.uint64(0x00FF00FF00FF00FF)
 
 
-@njit(cache=True, error_model="numpy", forceinline=True, _nrt=False)
+@njit(**INLINED)
 def bilinear4(texels, start, log_w, mask_u, mask_v, u, v):
     """Four channels of a texture at texel coordinates (u, v) in 1/65536, as lanes of 0..255."""
     a, b = (u >> 8) & 255, (v >> 8) & 255
@@ -45,7 +42,7 @@ def bilinear4(texels, start, log_w, mask_u, mask_v, u, v):
     return (lanes >> _U8) & _LANES
 
 
-@njit(cache=True, error_model="numpy", forceinline=True, _nrt=False)
+@njit(**INLINED)
 def bilinear1(image, u, v, mask):
     """One channel of a square repeating image at (u, v)."""
     floor_u, floor_v = np.floor(u), np.floor(v)
@@ -57,7 +54,7 @@ def bilinear1(image, u, v, mask):
     return upper * (1.0 - b) + lower * b
 
 
-@njit(cache=True, error_model="numpy", forceinline=True, _nrt=False)
+@njit(**INLINED)
 def grain(tiles, start, log, u, v):
     """Fine grain at (u, v) in 1/65536 texels of the tile, 2^log wide, that begins at ``start``; 0..255 * 256."""
     mask = (1 << log) - 1
@@ -70,7 +67,7 @@ def grain(tiles, start, log, u, v):
     return upper * (16 - b) + lower * b
 
 
-@njit(cache=True, error_model="numpy", forceinline=True, _nrt=False)
+@njit(**INLINED)
 def bytes_at(image, mask, u, v):
     """One channel of a square repeating image of bytes at (u, v) in 1/65536 texels; 0..255 * 65536."""
     a, b = (u >> 8) & 255, (v >> 8) & 255
@@ -81,7 +78,7 @@ def bytes_at(image, mask, u, v):
     return upper * (256 - b) + lower * b
 
 
-@njit(cache=True, error_model="numpy", forceinline=True, _nrt=False)
+@njit(**INLINED)
 def level(ratio):
     """Reduction whose texels match ``ratio`` texels a pixel: round(log2(ratio))."""
     return (
@@ -98,7 +95,7 @@ def level(ratio):
     )
 
 
-@njit(cache=True, error_model="numpy", forceinline=True, _nrt=False)
+@njit(**INLINED)
 def above_shadow(field, x, y, z):
     """Share of the sun that houses leave at a point: four soft comparisons, interpolated."""
     u, v = (x + HALF_EXTENT_M) * FIELD_TEXELS_PER_M - 0.5, (y + HALF_EXTENT_M) * FIELD_TEXELS_PER_M - 0.5
@@ -113,7 +110,7 @@ def above_shadow(field, x, y, z):
     return (c00 * (1.0 - a) + c01 * a) * (1.0 - b) + (c10 * (1.0 - a) + c11 * a) * b
 
 
-@njit(cache=True, error_model="numpy", forceinline=True, _nrt=False)
+@njit(**INLINED)
 def lamp_light(lamps, corner_x, corner_y, beam, x, y, z, up, rx, ry, rz):
     """Light of street lamps and of the car's own head lights.
 

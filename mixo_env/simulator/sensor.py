@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numba import float32, njit
 
+from mixo_env.simulator.compiling import INLINED
+
 LONGEST_BLUR_PX = 48.0
 MOST_SAMPLES = 6
 NOISE_SIDE = 1024
@@ -50,13 +52,13 @@ def spread_motion(depth, owner, flow):
                 flow[0, y, column], flow[1, y, column] = du, dv
 
 
-@njit(cache=True, error_model="numpy", forceinline=True, _nrt=False)
+@njit(**INLINED)
 def _nearest(flat, x, y, width, right, bottom):
     """Radiance at (x, y) in 1/65536 pixels, at the border the nearest one."""
     return flat[np.uintp((min(max(y, 0), bottom) >> 16) * width + (min(max(x, 0), right) >> 16))]
 
 
-@njit(cache=True, error_model="numpy", forceinline=True, _nrt=False)
+@njit(**INLINED)
 def _smear_pixels(flat, shape, flow, y, begin, stop, words, scales):
     """Average the pixels ``begin`` to ``stop`` of row ``y`` one by one; see :func:`_smear`."""
     height, width = shape
@@ -84,7 +86,7 @@ def _smear_pixels(flat, shape, flow, y, begin, stop, words, scales):
         scales[x] *= share * float32(1.0 / 65536.0)
 
 
-@njit(cache=True, error_model="numpy", forceinline=True, _nrt=False)
+@njit(**INLINED)
 def _step(at, width, ax, ay, steps):
     """Place in the flat picture ``steps`` times (ax, ay) from ``at``, to the nearest pixel."""
     along, down = int(np.floor(ax * steps + 0.5)), int(np.floor(ay * steps + 0.5))
@@ -106,12 +108,16 @@ def _smear(radiance, flow, y, words, scales, motion):
         exact, coarse = flow[axis, y], motion[axis]
         for x in range(width):
             coarse[x] = np.int32(min(max(exact[x], float32(-1000.0)), float32(1000.0)) * float32(16.0))
+    along, down = motion[0], motion[1]
     for begin in range(0, width, _STRETCH):
-        stop = min(begin + _STRETCH, width)
-        least_u = most_u = motion[0, begin]
-        least_v = most_v = motion[1, begin]
-        for x in range(begin, stop):
-            u, v = motion[0, x], motion[1, x]
+        if begin + _STRETCH > width:
+            _smear_pixels(flat, radiance.shape, flow, y, begin, width, words, scales)
+            continue
+        first = np.uintp(begin)
+        least_u = most_u = along[first]
+        least_v = most_v = down[first]
+        for i in range(_STRETCH):
+            u, v = along[first + np.uintp(i)], down[first + np.uintp(i)]
             least_u, most_u = min(least_u, u), max(most_u, u)
             least_v, most_v = min(least_v, v), max(most_v, v)
         if max(max(-least_u, most_u), max(-least_v, most_v)) <= 16:
@@ -127,7 +133,7 @@ def _smear(radiance, flow, y, words, scales, motion):
             or y < reach
             or y + reach >= height
         ):
-            _smear_pixels(flat, radiance.shape, flow, y, begin, stop, words, scales)
+            _smear_pixels(flat, radiance.shape, flow, y, begin, begin + _STRETCH, words, scales)
             continue
         if length <= float32(1.0):
             continue
@@ -138,11 +144,9 @@ def _smear(radiance, flow, y, words, scales, motion):
         s3, s4, s5 = _step(at, width, ax, ay, 0.5), _step(at, width, ax, ay, 1.5), _step(at, width, ax, ay, 2.5)
         for i in range(_STRETCH):
             k = np.uintp(i)
-            words[np.uintp(begin) + k] = (
-                flat[s0 + k] + flat[s1 + k] + flat[s2 + k] + flat[s3 + k] + flat[s4 + k] + flat[s5 + k]
-            )
+            words[first + k] = flat[s0 + k] + flat[s1 + k] + flat[s2 + k] + flat[s3 + k] + flat[s4 + k] + flat[s5 + k]
         for i in range(_STRETCH):
-            scales[np.uintp(begin) + np.uintp(i)] *= float32(1.0 / MOST_SAMPLES)
+            scales[first + np.uintp(i)] *= float32(1.0 / MOST_SAMPLES)
 
 
 @njit(cache=True, error_model="numpy")

@@ -11,6 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numba import float32, njit
 
+from mixo_env.simulator.compiling import INLINED
 from mixo_env.simulator.mesh import CUT_OUT, GROUND, SHADE, SOLID
 from mixo_env.simulator.sampling import (
     CELL_SHIFT,
@@ -49,14 +50,14 @@ _EVEN_SPAN_TEXELS = 6.0
 _OFF_WALL_M = 0.8  # shadows are looked up this far off a surface, or every wall would shade itself
 
 
-@njit(cache=True, error_model="numpy", forceinline=True, _nrt=False)
+@njit(**INLINED)
 def _ramp(start, step, out):
     first, slope = float32(start), float32(step)
     for i in range(out.shape[0]):
         out[i] = first + slope * float32(i)
 
 
-@njit(cache=True, error_model="numpy", forceinline=True, _nrt=False)
+@njit(**INLINED)
 def _sky_point(x, row, camera, turn):
     """One pixel of the sky.
 
@@ -77,7 +78,7 @@ def _sky_point(x, row, camera, turn):
     return wx * scale, wy * scale, min(2.0 * up, 1.0), 2.0 * (u - x), 2.0 * (v - row)
 
 
-@njit(cache=True, error_model="numpy", forceinline=True, _nrt=False)
+@njit(**INLINED)
 def _blend_sky(sky, steps, high, rise, contrast, tones, specks, out):
     """Packed radiance of a span of sky: haze below, zenith above, clouds a little brighter than the haze is red."""
     u, v, step_u, step_v = steps
@@ -94,7 +95,7 @@ def _blend_sky(sky, steps, high, rise, contrast, tones, specks, out):
         out[i] = np.int64(min(r, most)) | np.int64(min(g, most)) << 21 | np.int64(min(b, most)) << 42
 
 
-@njit(cache=True, error_model="numpy", forceinline=True, _nrt=False)
+@njit(**INLINED)
 def _sky_run(row, begin, stop, camera, light, textures, motion, memory, out, flow):
     """Clouds on a plane between clear sky and haze; they move with the camera's rotation only."""
     sky, turn, specks = textures[4], motion[0], memory[2]
@@ -120,7 +121,7 @@ def _sky_run(row, begin, stop, camera, light, textures, motion, memory, out, flo
         x = end
 
 
-@njit(cache=True, error_model="numpy", forceinline=True, _nrt=False)
+@njit(**INLINED)
 def _fetch(texels, place, steps, taps, out):
     """Texture along a span: the sum of ``taps`` samples for every pixel."""
     start, log_w, mask_u, mask_v = place
@@ -134,7 +135,7 @@ def _fetch(texels, place, steps, taps, out):
             out[i] += bilinear4(texels, start, log_w, mask_u, mask_v, u + i * step_u, v + i * step_v)
 
 
-@njit(cache=True, error_model="numpy", forceinline=True, _nrt=False)
+@njit(**INLINED)
 def _add_grain(detail, start, log, u, v, step_u, step_v, base, gain, specks, factors):
     """Multiply ``factors`` by the square of the fine grain along a span."""
     for i in range(factors.shape[0]):
@@ -144,7 +145,7 @@ def _add_grain(detail, start, log, u, v, step_u, step_v, base, gain, specks, fac
         factors[i] *= speck * speck
 
 
-@njit(cache=True, error_model="numpy", forceinline=True, _nrt=False)
+@njit(**INLINED)
 def _colour(lanes, factors, tint0, tint1, tint2, haze0, haze1, haze2, out):
     """Packed radiance of a span: squares of the texture's lanes times tint and light, plus haze."""
     top = float32(RADIANCE_TOP)
@@ -155,7 +156,7 @@ def _colour(lanes, factors, tint0, tint1, tint2, haze0, haze1, haze2, out):
         out[i] = np.int64(min(r, top)) | np.int64(min(g, top)) << 21 | np.int64(min(b, top)) << 42
 
 
-@njit(cache=True, error_model="numpy", forceinline=True, _nrt=False)
+@njit(**INLINED)
 def _shade_run(row, begin, stop, k, seen, camera, light, textures, daylight, night, motion, memory, out, flow):
     """Shade the pixels ``begin`` to ``stop`` of a row, all of slot ``k``; see :func:`shade`."""
     lanes, scratch, specks = memory
