@@ -32,18 +32,18 @@ class Quantity:
 
 MOTION = (
     Quantity("speed_1s_mps", "speed over 1 s [m/s]", 0.5, 2),
-    Quantity("speed_1s_mps_while_moving", "the same while moving [m/s]", 0.5, 2),
+    Quantity("speed_1s_mps_while_moving", "speed over 1 s while moving [m/s]", 0.5, 2),
     Quantity("abs_yaw_rate_1s_degps", "absolute yaw rate over 1 s [deg/s]", 0.5, 3),
     Quantity("longitudinal_accel_1s_mps2", "acceleration over 1 s [m/s²]", 0.15, 2),
     Quantity("path_length_per_scene_m", "path per scene [m]", 10.0, 1),
     Quantity("mean_speed_per_scene_mps", "mean speed per scene [m/s]", 0.5, 2),
     Quantity("net_heading_change_per_scene_deg", "net heading change per scene [deg]", 10.0, 1),
-    Quantity("abs_net_heading_change_per_scene_deg", "its absolute value [deg]", 10.0, 1),
+    Quantity("abs_net_heading_change_per_scene_deg", "absolute net heading change per scene [deg]", 10.0, 1),
 )
 SENSORS = {
     "pose_rate_hz": "pose: rate [Hz]",
     "pose_speed_minus_path_mps": "pose: speed minus derivative of position, mean [m/s]",
-    "pose_speed_minus_path_std_mps": "the same, standard deviation [m/s]",
+    "pose_speed_minus_path_std_mps": "pose: speed minus derivative of position, standard deviation [m/s]",
     "path_over_pose_speed": "pose: path over integral of speed",
     "gyro_rate_hz": "ms_imu: rate [Hz]",
     "gyro_bias_degps": "gyro: bias [deg/s]",
@@ -53,7 +53,7 @@ SENSORS = {
     "gyro_noise_0p5_s_radps": "gyro: noise of means over 0.5 s [rad/s]",
     "gyro_sample_to_sample_radps": "gyro: message to message [rad/s]",
     "gyro_drift_1_s_deg": "gyro: drift of heading in 1 s, bias removed [deg]",
-    "gyro_drift_5_s_deg": "gyro: the same in 5 s [deg]",
+    "gyro_drift_5_s_deg": "gyro: drift of heading in 5 s, bias removed [deg]",
     **{
         f"accel_{axis}_{key}_mps2": f"accelerometer {axis}: {name} [m/s²]"
         for key, name in (("mean", "mean"), ("std", "standard deviation"), ("sample_to_sample", "message to message"))

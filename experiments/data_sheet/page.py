@@ -42,7 +42,7 @@ def page(recordings: Recordings, measured: Stored, real: Stored, study: Stored |
         recordings: the bundled ones, or others recorded in the same folder.
         measured: :func:`experiments.data_sheet.measured.measure`.
         real: :mod:`experiments.data_sheet.real`.
-        study: result of :mod:`experiments.situation_shares`, if there is one.
+        study: result of :mod:`experiments.situation_shares`, if there is one; one of other recordings does not count.
 
     Raises:
         ConfigurationError: if the recordings are of other scenes than the folder that was measured.
@@ -53,6 +53,8 @@ def page(recordings: Recordings, measured: Stored, real: Stored, study: Stored |
             f"the recordings hold {len(names)} scenes, the folder that was measured {len(measured['situations'])}: "
             "give the recordings of that folder, or run again with --images"
         )
+    if study is not None and study["values_hashes"] != [scene.values_hash for scene in recordings.scenes]:
+        study = None
     differences = Differences()
     beside = _beside_real(recordings, measured, real, differences)  # finds the differences that are listed later
     sections = [
@@ -92,7 +94,7 @@ def _how_made(recordings: Recordings, measured: Stored) -> str:
     )
     return "\n\n".join(
         [
-            prose.HOW_MADE,
+            prose.HOW_MADE.strip(),
             f"Configuration: {plain}. Software: {software}.",
             "Situations are dealt over the scenes, at most one each:",
             table(["situation", "share asked for", "scenes"], shares),
@@ -210,6 +212,7 @@ def _outcomes(recordings: Recordings, measured: Stored) -> str:
             prose.OUTCOMES.format(scenes=len(inside)),
             prose.LOST,
             table(["camera", "paper", "here", "here, instant re-initialisation", "tracking [%]"], lost_rows),
+            _lost_in_all(inside),
             prose.BEST,
             _best(inside),
             prose.BY_SITUATION,
@@ -217,6 +220,17 @@ def _outcomes(recordings: Recordings, measured: Stored) -> str:
             prose.MOVERS,
             _movers(measured),
         )
+    )
+
+
+def _lost_in_all(recordings: Recordings) -> str:
+    cameras = [camera for camera in recordings.manifest.cameras if camera in PAPER_LOST]
+    here = sum(camera_lost_tracks(recordings, camera).mean for camera in cameras)
+    paper = sum(PAPER_LOST[camera][0] for camera in cameras)
+    easier = "less" if here < paper else "more"
+    return (
+        f"All {len(cameras)} cameras together lose {here:.2f} tracks per scene here and {paper:.2f} in the paper: this "
+        f"city, seen by these experts, is {easier} hard on single cameras than nuScenes was on the paper's."
     )
 
 

@@ -88,7 +88,8 @@ DIFFERENCES = """Beyond figures:
 * In rain the road mirrors what the picture shows and vehicles throw up spray; no drops fall and none stick to the
   lens.
 * Only the body's motion shakes the cameras; the rig does not bend.
-* Paints, facades and vehicle shapes repeat between logs, in other places and other light.
+* Paints, facades and vehicle shapes repeat between logs, in other places and other light; lettering on one side of
+  trucks and on the backs of signs is mirrored.
 * Two cars, whose constants vary from log to log; real fleets differ more.
 """
 

@@ -40,6 +40,7 @@ def shares_section(study: Mapping[str, Any] | None) -> str:
             "x 1 in different draws, which differ by nothing but the luck of the draw.",
             _taus(study),
             _verdict(study),
+            "Lowest mean rank by RTE deg/m:\n\n" + _firsts(study, "rotation_deg_per_m"),
             "Mean rank (mean score) in the CONSUMER track by RTE deg/m:",
             _ranks(study, "CONSUMER", "rotation_deg_per_m"),
         ]
@@ -84,6 +85,15 @@ def _verdict(study: Mapping[str, Any]) -> str:
             f"* x {factor}: in {len(pairs) - beyond} of {len(pairs)} orders the change is within what chance does "
             f"(mean tau not below the lowest of chance), in {beyond} beyond it; lowest mean tau {lowest}."
         )
+    return "\n".join(lines)
+
+
+def _firsts(study: Mapping[str, Any], score: str) -> str:
+    """Who leads at every factor."""
+    lines = []
+    for track, ranks in study["ranks"].items():
+        leaders = (f"x {factor} {min(rows, key=rows.__getitem__)}" for factor, rows in ranks[score].items())
+        lines.append(f"* {track}: {', '.join(leaders)}")
     return "\n".join(lines)
 
 
