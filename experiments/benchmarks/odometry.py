@@ -227,15 +227,16 @@ def main(
     like_ours = OrbSettings(
         config.features, config.levels, config.scale_factor, config.fast_threshold, config.fast_threshold_low
     )
+    wanted = like_ours if preset == "paper" else OrbSettings()
     theirs: dict[str, list[PeerRun]] = {}
     with tempfile.TemporaryDirectory() as folder:
         vocabulary = vocabulary_of(drives, Path(folder) / "words.txt")
         for drive in drives:
-            wanted = like_ours if preset == "paper" else OrbSettings()
             found = run_peer(python, drive, vocabulary, wanted, peer_pace)
             theirs.setdefault(drive.calibration.channel, []).append(found)
     for settings in {run.settings: None for some in theirs.values() for run in some}:
-        print(f"ORB-SLAM3: {settings}; more levels than that do not fit into the images")
+        fewer = "" if settings == wanted else f"; the images have no room for {wanted.levels} levels"
+        print(f"ORB-SLAM3: {settings}{fewer}")
     print(PEER_HEAD)
     for channel, some in runs.items():
         print(peer_row(channel, some, theirs[channel]))
