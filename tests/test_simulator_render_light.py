@@ -11,9 +11,9 @@ from mixo_env.simulator.furniture import LAMP_M
 from mixo_env.simulator.lamps import add_glare, light_window
 from mixo_env.simulator.mesh import GROUND, Surface, quad
 from mixo_env.simulator.render import Renderer
-from mixo_env.simulator.sampling import even_cells, grain
+from mixo_env.simulator.sampling import add_texels, even_cells, read_grain
 from mixo_env.simulator.shadows import EXTENT_M, FIELD_TEXELS_PER_M, PICTURE_TEXELS_PER_M, Shadows
-from mixo_env.simulator.textures import Atlas, lanes, rgba, spectral_noise
+from mixo_env.simulator.textures import Atlas, rgba, spectral_noise
 from mixo_env.simulator.vehicles import VehicleState
 from mixo_env.simulator.world import grain_levels, lamp_light
 from tests.tiny_world import FLAT, SUN, camera, plain_texture, pose, surface, world_of
@@ -169,10 +169,10 @@ def test_atlas_keeps_every_reduction() -> None:
     texels, table = atlas.packed()
     start, log_w, log_h = table[0, 0]
     assert (start, log_w, log_h) == (0, 5, 3)
-    assert np.array_equal(texels[:256].view(np.uint16).reshape(8, 32, 4), first)
-    half = texels[table[0, 1, 0] :][: 16 * 4].view(np.uint16).reshape(4, 16, 4).astype(float)
+    assert np.array_equal(texels[:256].view(np.uint8).reshape(8, 32, 4), first)
+    half = texels[table[0, 1, 0] :][: 16 * 4].view(np.uint8).reshape(4, 16, 4).astype(float)
     assert half == pytest.approx(first.reshape(4, 2, 16, 2, 4).astype(float).mean(axis=(1, 3)), abs=0.51)
-    assert texels[table[1, 2, 0]] == lanes(second)[0, 0] == 10 | 20 << 16 | 30 << 32 | 40 << 48
+    assert texels[table[1, 2, 0]] == 10 | 20 << 8 | 30 << 16 | 40 << 24
     assert (table[1, 4:] == table[1, 3]).all()  # a side of 2 ends the chain
 
 
@@ -180,10 +180,31 @@ def test_grain_is_interpolated_between_four_texels_and_repeats() -> None:
     tile = np.random.default_rng(2).integers(0, 256, (8, 8), np.uint8)
     tiles, start = grain_levels(tile)
     assert start.tolist() == [0, 64, 80]
-    assert np.array_equal(tiles[:64].reshape(8, 8), tile)
+    assert np.array_equal(tiles[:64].reshape(8, 8) & 255, tile)
+    where, out = np.empty((6, 32), np.int32), np.empty(8, np.float32)
     for u, v, wanted in (
         (3.0, 2.0, tile[2, 3]),
         (3.25, 2.0, 0.75 * tile[2, 3] + 0.25 * tile[2, 4]),
         (7.5, -0.5, 0.25 * (float(tile[7, 7]) + tile[7, 0] + tile[0, 7] + tile[0, 0])),  # around both edges
     ):
-        assert grain(tiles, 0, 3, int(u * 65536), int(v * 65536)) == 256.0 * wanted
+        read_grain(tiles, 3, int(u * 65536), int(v * 65536), 65536, 0, where, out)
+        assert out[0] == 256.0 * wanted
+        if u == 3.0:
+            assert np.array_equal(out, 256.0 * np.roll(tile[2], -3))
+
+
+def test_texture_is_interpolated_between_four_texels_and_repeats() -> None:
+    image = np.random.default_rng(3).integers(0, 256, (4, 8, 4), np.uint8)
+    texels = image.view(np.uint32).ravel()
+    where = np.empty((6, 32), np.int32)
+    for u, v in ((3.25, 2.5), (7.5, 3.75), (-0.75, -1.0), (4000.5, 1.25)):
+        even, odd = np.ones(8, np.uint32), np.zeros(8, np.uint32)
+        add_texels(texels, (3, 7, 3), int(u * 65536), int(v * 65536), 3 * 65536 // 2, -65536, where, even, odd)
+        for i in range(8):
+            x, y = u + 1.5 * i, v - i
+            left, top = int(np.floor(x)), int(np.floor(y))
+            a, b = x - left, y - top
+            four = image[np.ix_([top % 4, (top + 1) % 4], [left % 8, (left + 1) % 8])].astype(float)
+            wanted = np.einsum("ijc,i,j->c", four, [1.0 - b, b], [1.0 - a, a])
+            got = [int(even[i] & 0xFFFF) - 1, int(odd[i] & 0xFFFF), int(even[i] >> 16), int(odd[i] >> 16)]
+            assert got == pytest.approx(wanted.tolist(), abs=2.0)

@@ -40,12 +40,15 @@ def light_window(
 ) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
     """Lamp light and the vehicles' beams around the camera: ``(WINDOW, WINDOW)`` and its corner on the map."""
     corner = np.floor(position_m[:2]).astype(int) - WINDOW // 2
-    window = np.zeros((WINDOW, WINDOW), np.float32)
     from_map = corner + int(0.5 * extent_m)
     low, high = np.clip(from_map, 0, len(lamp_light)), np.clip(from_map + WINDOW, 0, len(lamp_light))
-    to = low - from_map
     part = lamp_light[low[1] : high[1], low[0] : high[0]]
-    window[to[1] : to[1] + part.shape[0], to[0] : to[0] + part.shape[1]] = part
+    if part.shape == (WINDOW, WINDOW):
+        window = part.copy()
+    else:
+        to = low - from_map
+        window = np.zeros((WINDOW, WINDOW), np.float32)
+        window[to[1] : to[1] + part.shape[0], to[0] : to[0] + part.shape[1]] = part
     beams = []
     for v in vehicles:
         c, s, nose = np.cos(v.yaw_rad), np.sin(v.yaw_rad), 0.5 * VEHICLE_KINDS[v.kind].length_m

@@ -19,6 +19,7 @@ from mixo_env.simulator.sampling import even_cells
 from mixo_env.simulator.sensor import NOISE_SIDE, expose, spread_motion
 from mixo_env.simulator.shading import shade
 from mixo_env.simulator.shadows import EXTENT_M
+from mixo_env.simulator.textures import quads
 from mixo_env.simulator.vehicles import VehicleState
 from mixo_env.simulator.weather import Weather, weather_named
 from mixo_env.simulator.world import World
@@ -100,7 +101,7 @@ class Renderer:
         self._fleet = Fleet(world, shadows=self.weather.sun > 0.0)
         self._daylight = world.sunlight, even_cells(world.sunlight), world.shadow_height
         grain = world.detail, world.detail_start
-        self._textures = world.texels, world.table, *grain, world.sky.ravel(), world.ground_texels_per_m
+        self._textures = world.texels, world.table, *grain, quads(world.sky).ravel(), world.ground_texels_per_m
         self._no_lamps = np.zeros((1, 1), np.float32), np.zeros(2)
         w, unit = self.weather, RADIANCE_UNIT
         self._light = np.array(
@@ -199,12 +200,14 @@ class Renderer:
                 )
             y, x = np.mgrid[0:height, 0:width]
             squared = ((x - 0.5 * width) ** 2 + (y - 0.5 * height) ** 2) / (0.5 * width) ** 2
-            self._sizes[height, width] = (
-                DepthBuffers(height, width),
-                np.empty((height, width), np.int64),
-                np.empty((2, height, width), np.float32),
-                ((1.0 + 0.22 * squared) ** -2).astype(np.float32),
-            )
+            # One block, so that the operating system can back all of it with large pages.
+            size = height * width
+            block = np.empty(7 * size, np.float32)
+            radiance = block[: 2 * size].view(np.int64).reshape(height, width)
+            planes = block[2 * size :].reshape(5, height, width)
+            planes[4] = (1.0 + 0.22 * squared) ** -2
+            buffers = DepthBuffers(planes[2], planes[3].view(np.int32))
+            self._sizes[height, width] = buffers, radiance, planes[:2], planes[4]
         return self._sizes[height, width]
 
     def _motion(self, middle: CameraPose, end: CameraPose, vehicles: Sequence[VehicleState]) -> NDArray[np.float64]:

@@ -90,11 +90,29 @@ def _smear_pixels(flat, shape, flow, y, begin, stop, words, scales):
 def _step(at, width, ax, ay, steps):
     """Place in the flat picture ``steps`` times (ax, ay) from ``at``, to the nearest pixel."""
     along, down = int(np.floor(ax * steps + 0.5)), int(np.floor(ay * steps + 0.5))
-    return np.uintp(at + down * width + along)
+    return at + down * width + along
 
 
-@njit(cache=True, error_model="numpy")
-def _smear(radiance, flow, y, words, scales, motion):
+@njit(**INLINED)
+def _extremes(values):
+    """Smallest and largest."""
+    least = most = values[0]
+    for i in range(values.shape[0]):
+        least, most = min(least, values[i]), max(most, values[i])
+    return least, most
+
+
+@njit(**INLINED)
+def _add_six(first, second, third, fourth, fifth, sixth, words, scales):
+    """The mean of six stretches of the picture: their sums and the divisor."""
+    for i in range(words.shape[0]):
+        words[i] = first[i] + second[i] + third[i] + fourth[i] + fifth[i] + sixth[i]
+    for i in range(scales.shape[0]):
+        scales[i] *= float32(1.0 / MOST_SAMPLES)
+
+
+@njit(**INLINED)
+def _smear(flat, shape, flow, y, words, scales, motion):
     """Average row ``y`` along each pixel's motion: sums into ``words``, their divisors into ``scales``.
 
     Most stretches of ``_STRETCH`` pixels move alike, to less than a pixel or an eighth of the motion: they are summed
@@ -102,24 +120,19 @@ def _smear(radiance, flow, y, words, scales, motion):
     picture, go pixel by pixel.
     ``motion`` (2, w) is working memory.
     """
-    height, width = radiance.shape
-    flat = radiance.reshape(height * width)
+    height, width = shape
     for axis in range(2):
         exact, coarse = flow[axis, y], motion[axis]
         for x in range(width):
             coarse[x] = np.int32(min(max(exact[x], float32(-1000.0)), float32(1000.0)) * float32(16.0))
     along, down = motion[0], motion[1]
     for begin in range(0, width, _STRETCH):
-        if begin + _STRETCH > width:
-            _smear_pixels(flat, radiance.shape, flow, y, begin, width, words, scales)
+        end = begin + _STRETCH
+        if end > width:
+            _smear_pixels(flat, shape, flow, y, begin, width, words, scales)
             continue
-        first = np.uintp(begin)
-        least_u = most_u = along[first]
-        least_v = most_v = down[first]
-        for i in range(_STRETCH):
-            u, v = along[first + np.uintp(i)], down[first + np.uintp(i)]
-            least_u, most_u = min(least_u, u), max(most_u, u)
-            least_v, most_v = min(least_v, v), max(most_v, v)
+        least_u, most_u = _extremes(along[begin:end])
+        least_v, most_v = _extremes(down[begin:end])
         if max(max(-least_u, most_u), max(-least_v, most_v)) <= 16:
             continue
         du, dv = float32(least_u + most_u) * float32(1.0 / 32.0), float32(least_v + most_v) * float32(1.0 / 32.0)
@@ -129,11 +142,11 @@ def _smear(radiance, flow, y, words, scales, motion):
             max(most_u - least_u, most_v - least_v) > max(_ALIKE, int(2.0 * length))
             or length > float32(LONGEST_BLUR_PX)
             or begin < reach
-            or begin + _STRETCH + reach > width
+            or end + reach > width
             or y < reach
             or y + reach >= height
         ):
-            _smear_pixels(flat, radiance.shape, flow, y, begin, begin + _STRETCH, words, scales)
+            _smear_pixels(flat, shape, flow, y, begin, end, words, scales)
             continue
         if length <= float32(1.0):
             continue
@@ -142,11 +155,18 @@ def _smear(radiance, flow, y, words, scales, motion):
         at = y * width + begin
         s0, s1, s2 = _step(at, width, ax, ay, -2.5), _step(at, width, ax, ay, -1.5), _step(at, width, ax, ay, -0.5)
         s3, s4, s5 = _step(at, width, ax, ay, 0.5), _step(at, width, ax, ay, 1.5), _step(at, width, ax, ay, 2.5)
-        for i in range(_STRETCH):
-            k = np.uintp(i)
-            words[first + k] = flat[s0 + k] + flat[s1 + k] + flat[s2 + k] + flat[s3 + k] + flat[s4 + k] + flat[s5 + k]
-        for i in range(_STRETCH):
-            scales[first + np.uintp(i)] *= float32(1.0 / MOST_SAMPLES)
+        _add_six(
+            flat[s0 : s0 + _STRETCH], flat[s1 : s1 + _STRETCH], flat[s2 : s2 + _STRETCH], flat[s3 : s3 + _STRETCH],
+            flat[s4 : s4 + _STRETCH], flat[s5 : s5 + _STRETCH], words[begin:end], scales[begin:end],
+        )  # fmt: skip
+
+
+@njit(**INLINED)
+def _begin_row(radiance, vignette, gain, words, scales):
+    for x in range(words.shape[0]):
+        words[x] = radiance[x]
+    for x in range(words.shape[0]):
+        scales[x] = gain * vignette[x]
 
 
 @njit(cache=True, error_model="numpy")
@@ -167,12 +187,11 @@ def expose(radiance, flow, vignette, noise, offset, gain, shot, read, out):
     height, width = radiance.shape
     words, scales, line = np.empty(width, np.int64), np.empty(width, np.float32), np.empty((3, width), np.uint8)
     values, motion = np.empty(width, np.float32), np.empty((2, width), np.int32)
+    flat = radiance.reshape(height * width)
     gain, shot, read = float32(gain), float32(shot), float32(read)
     for y in range(height):
-        words[:] = radiance[y]
-        for x in range(width):
-            scales[x] = gain * vignette[y, x]
-        _smear(radiance, flow, y, words, scales, motion)
+        _begin_row(radiance[y], vignette[y], gain, words, scales)
+        _smear(flat, radiance.shape, flow, y, words, scales, motion)
         for channel in range(3):  # short loops without branches, so that each runs in SIMD
             shift, first = 21 * channel, offset[y, 1] + channel * width
             grain, coded = noise[offset[y, 0], first : first + width], line[channel]

@@ -2,8 +2,7 @@
 
 Pixels are shaded in short spans that show the same patch. Perspective is exact at both ends of a span and linear
 within; a span is cut so short that this misplaces the texture by less than 0.15 pixels. The reduction of the texture,
-haze and lamp light are chosen once per span. Four 16-bit lanes of one integer filter the four channels of a texture at
-once.
+haze and lamp light are chosen once per span.
 """
 
 from __future__ import annotations
@@ -18,11 +17,11 @@ from mixo_env.simulator.sampling import (
     HALF_EXTENT_M,
     PICTURE_MASK,
     above_shadow,
-    bilinear4,
+    add_texels,
     bytes_at,
-    grain,
     lamp_light,
     level,
+    read_grain,
 )
 from mixo_env.simulator.shadows import PICTURE_TEXELS_PER_M
 from mixo_env.simulator.textures import DETAIL_SIDE
@@ -38,7 +37,7 @@ RADIANCE_TOP = (1 << 18) - 1
 
 _INVERSE = np.array([0.0] + [1.0 / i for i in range(1, SPAN + 1)])
 _POWER = np.array([2.0**-i for i in range(12)])
-_U48 = np.uint64(48)
+_U16, _LOW = np.uint32(16), np.uint32(0xFFFF)
 _ONE = 65536.0  # texel coordinates and factors in fixed point
 _HALF = 32768
 _GRAIN_UNIT = 1.0 / (255.0 * 256.0)
@@ -79,15 +78,12 @@ def _sky_point(x, row, camera, turn):
 
 
 @njit(**INLINED)
-def _blend_sky(sky, steps, high, rise, contrast, tones, specks, out):
+def _blend_sky(high, rise, contrast, tones, specks, out):
     """Packed radiance of a span of sky: haze below, zenith above, clouds a little brighter than the haze is red."""
-    u, v, step_u, step_v = steps
     haze0, haze1, haze2, top0, top1, top2 = tones
     white, most = float32(1.25) * haze0, float32(RADIANCE_TOP)
     for i in range(out.shape[0]):
-        specks[i] = grain(sky, 0, _SKY_LOG, u + i * step_u, v + i * step_v)
-    for i in range(out.shape[0]):
-        cloud = contrast * float32(specks[i])
+        cloud = contrast * specks[i]
         share = (high + rise * float32(i)) * (float32(1.0) - cloud)
         keep, glow = float32(1.0) - cloud - share, white * cloud
         r, g = haze0 * keep + top0 * share + glow, haze1 * keep + top1 * share + glow
@@ -98,7 +94,7 @@ def _blend_sky(sky, steps, high, rise, contrast, tones, specks, out):
 @njit(**INLINED)
 def _sky_run(row, begin, stop, camera, light, textures, motion, memory, out, flow):
     """Clouds on a plane between clear sky and haze; they move with the camera's rotation only."""
-    sky, turn, specks = textures[4], motion[0], memory[2]
+    sky, turn, specks, where = textures[4], motion[0], memory[3], memory[4]
     tones = (
         float32(light[3]), float32(light[4]), float32(light[5]),
         float32(light[6]), float32(light[7]), float32(light[8]),
@@ -112,54 +108,62 @@ def _sky_run(row, begin, stop, camera, light, textures, motion, memory, out, flo
         gu, gv = int(u * _ONE), int(v * _ONE)
         du, dv = int((eu - u) * inverse * _ONE), int((ev - v) * inverse * _ONE)
         ehigh, efu, efv = (ehigh - high) * inverse, (efu - fu) * inverse, (efv - fv) * inverse
-        _blend_sky(
-            sky, (gu, gv, du, dv), float32(high), float32(ehigh), float32(light[9] * _GRAIN_UNIT), tones, specks,
-            out[row, x:end],
-        )  # fmt: skip
+        read_grain(sky, _SKY_LOG, gu, gv, du, dv, where, specks[: _whole(end - x)])
+        contrast = float32(light[9] * _GRAIN_UNIT)
+        _blend_sky(float32(high), float32(ehigh), contrast, tones, specks[: end - x], out[row, x:end])
         _ramp(fu, efu, flow[0, row, x:end])
         _ramp(fv, efv, flow[1, row, x:end])
         x = end
 
 
 @njit(**INLINED)
-def _fetch(texels, place, steps, taps, out):
-    """Texture along a span: the sum of ``taps`` samples for every pixel."""
-    start, log_w, mask_u, mask_v = place
-    u, v, step_u, step_v, tap_u, tap_v = steps
-    for i in range(out.shape[0]):
-        out[i] = bilinear4(texels, start, log_w, mask_u, mask_v, u + i * step_u, v + i * step_v)
-    for _ in range(1, taps):
-        u += tap_u
-        v += tap_v
-        for i in range(out.shape[0]):
-            out[i] += bilinear4(texels, start, log_w, mask_u, mask_v, u + i * step_u, v + i * step_v)
+def _whole(length):
+    """Pixels to read for a span: up to seven more than it has, so that SIMD leaves no rest."""
+    return (length + 7) & ~7
 
 
 @njit(**INLINED)
-def _add_grain(detail, start, log, u, v, step_u, step_v, base, gain, specks, factors):
+def _fetch(texels, shape, steps, taps, where, red_blue, green_alpha):
+    """Texture along a span: the sum of ``taps`` samples for every pixel."""
+    u, v, step_u, step_v, tap_u, tap_v = steps
+    red_blue[:] = np.uint32(0)
+    green_alpha[:] = np.uint32(0)
+    for tap in range(taps):
+        add_texels(texels, shape, u + tap * tap_u, v + tap * tap_v, step_u, step_v, where, red_blue, green_alpha)
+
+
+@njit(**INLINED)
+def _glow(light, emission, scale, unit, green_alpha, factors):
+    """Light of a span in even light whose texture shines by itself."""
+    for i in range(factors.shape[0]):
+        factors[i] = (light + emission * np.int32(green_alpha[i] >> _U16) * scale) * unit
+
+
+@njit(**INLINED)
+def _apply_grain(base, gain, specks, factors):
     """Multiply ``factors`` by the square of the fine grain along a span."""
     for i in range(factors.shape[0]):
-        specks[i] = grain(detail, start, log, u + i * step_u, v + i * step_v)
-    for i in range(factors.shape[0]):
-        speck = base + float32(specks[i]) * gain
+        speck = base + specks[i] * gain
         factors[i] *= speck * speck
 
 
 @njit(**INLINED)
-def _colour(lanes, factors, tint0, tint1, tint2, haze0, haze1, haze2, out):
-    """Packed radiance of a span: squares of the texture's lanes times tint and light, plus haze."""
+def _colour(red_blue, green_alpha, factors, tint0, tint1, tint2, haze0, haze1, haze2, out):
+    """Packed radiance of a span: squares of the texture's sums times tint and light, plus haze."""
     top = float32(RADIANCE_TOP)
     for i in range(out.shape[0]):
-        word, factor = np.int64(lanes[i]), factors[i]
-        r, g, b = float32(word & 0xFFFF), float32((word >> 16) & 0xFFFF), float32((word >> 32) & 0xFFFF)
+        factor = factors[i]
+        r, b = float32(np.int32(red_blue[i] & _LOW)), float32(np.int32(red_blue[i] >> _U16))
+        g = float32(np.int32(green_alpha[i] & _LOW))
         r, g, b = haze0 + r * r * (tint0 * factor), haze1 + g * g * (tint1 * factor), haze2 + b * b * (tint2 * factor)
-        out[i] = np.int64(min(r, top)) | np.int64(min(g, top)) << 21 | np.int64(min(b, top)) << 42
+        red, green, blue = np.int32(min(r, top)), np.int32(min(g, top)), np.int32(min(b, top))
+        out[i] = np.int64(red) | np.int64(green) << 21 | np.int64(blue) << 42
 
 
 @njit(**INLINED)
 def _shade_run(row, begin, stop, k, seen, camera, light, textures, daylight, night, motion, memory, out, flow):
     """Shade the pixels ``begin`` to ``stop`` of a row, all of slot ``k``; see :func:`shade`."""
-    lanes, scratch, specks = memory
+    reds, greens, scratch, noise, where = memory
     _, plane, style, mark = seen
     rotation, position, lens, far = camera
     texels, table, detail, detail_start, _, ground_scale = textures
@@ -198,12 +202,13 @@ def _shade_run(row, begin, stop, k, seen, camera, light, textures, daylight, nig
     my0 = m[4] * dy + m[5] - m[3] * cx / fx + m[10] * w0
     mz0 = m[7] * dy + m[8] - m[6] * cx / fx + m[11] * w0
     mx1, my1, mz1 = m[0] / fx + m[9] * w1, m[3] / fx + m[10] * w1, m[6] / fx + m[11] * w1
+    # Linear interpolation over n pixels errs by n^2 / 4 |w1 / w| pixels.
+    bend = 0.6 / (abs(w1) + 1e-12)
     sun_at_end, x = 0.0, begin
     while x < stop:
         w = w0 + w1 * x
         iz = 1.0 / w
-        # Linear interpolation over n pixels errs by n^2 / 4 |w1 / w| pixels.
-        longest = max(4, int(min(np.sqrt(0.6 * w / (abs(w1) + 1e-12)), float(SPAN))))
+        longest = max(4, int(min(np.sqrt(w * bend), float(SPAN))))
         end = min(x + longest, stop)
         last = end - 1
         steps = last - x
@@ -283,34 +288,31 @@ def _shade_run(row, begin, stop, k, seen, camera, light, textures, daylight, nig
         unit = scale * scale * air
         grain_gain, grain_base = float32(strength * _GRAIN_UNIT), float32(1.0 - 0.5 * strength)
         # Each step is a loop of its own over the span: the arithmetic of the last two then runs in SIMD.
-        colours, factors = lanes[: end - x], scratch[: end - x]
-        _fetch(texels, (start, log_w, mask_u, mask_v), (tu, tv, step_u, step_v, tap_u, tap_v), taps, colours)
-        if varied or emission > 0.0:
+        wide_span = _whole(end - x)
+        red_blue, green_alpha, factors, specks = (
+            reds[:wide_span],
+            greens[:wide_span],
+            scratch[: end - x],
+            noise[:wide_span],
+        )
+        steps_of_texture = tu, tv, step_u, step_v, tap_u, tap_v
+        _fetch(texels[start:], (log_w, mask_u, mask_v), steps_of_texture, taps, where, red_blue, green_alpha)
+        if emission > 0.0 and not varied:
+            _glow(bright, emission, scale, unit, green_alpha, factors)
+        elif varied:
             for i in range(end - x):
-                if varied:
-                    if on_ground:
-                        sunny = bytes_at(sunlight, PICTURE_MASK, g0 + i * ge0, g1 + i * ge1) * _BYTE_UNIT
-                    else:
-                        sunny = above_shadow(field, p0 + e0 * i, p1 + e1 * i, p2 + e2 * i)
-                emitted = emission * np.int64(colours[i] >> _U48) * scale
+                if on_ground:
+                    sunny = bytes_at(sunlight, PICTURE_MASK, g0 + i * ge0, g1 + i * ge1) * _BYTE_UNIT
+                else:
+                    sunny = above_shadow(field, p0 + e0 * i, p1 + e1 * i, p2 + e2 * i)
+                emitted = emission * np.int64(green_alpha[i] >> _U16) * scale
                 factors[i] = (steady + facing * sunny + emitted) * unit
         else:
             factors[:] = bright * unit
         if fine < _LAST_DETAIL and strength > 0.0:
-            _add_grain(
-                detail,
-                fine_start,
-                fine_log,
-                gu,
-                gv,
-                grain_step_u,
-                grain_step_v,
-                grain_base,
-                grain_gain,
-                specks,
-                factors,
-            )
-        _colour(colours, factors, tint0, tint1, tint2, haze0, haze1, haze2, out[row, x:end])
+            read_grain(detail[fine_start:], fine_log, gu, gv, grain_step_u, grain_step_v, where, specks)
+            _apply_grain(grain_base, grain_gain, specks, factors)
+        _colour(red_blue, green_alpha, factors, tint0, tint1, tint2, haze0, haze1, haze2, out[row, x:end])
 
         back = 2.0 / max(mz0 + mz1 * x, 1e-4)
         mu, mv = (mx0 + mx1 * x) * back * fx + 2.0 * (cx - x), (my0 + my1 * x) * back * fy + 2.0 * (cy - row)
@@ -343,7 +345,10 @@ def shade(seen, camera, light, textures, daylight, night, motion, out, flow):
         flow: ``(2, h, w)`` float32 pixels, along columns and along rows.
     """
     owner = seen[0]
-    memory = np.empty(SPAN, np.uint64), np.empty(SPAN, np.float32), np.empty(SPAN, np.int64)
+    memory = (
+        np.empty(SPAN, np.uint32), np.empty(SPAN, np.uint32), np.empty(SPAN, np.float32), np.empty(SPAN, np.float32),
+        np.empty((6, SPAN), np.int32),
+    )  # fmt: skip
     height, width = owner.shape
     for row in range(height):
         x = 0

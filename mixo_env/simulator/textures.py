@@ -163,11 +163,10 @@ def reductions(image: NDArray[np.uint8]) -> list[NDArray[np.uint8]]:
     return levels
 
 
-def lanes(image: Bytes) -> NDArray[np.uint64]:
-    """Every texel's four bytes as four 16-bit lanes, red lowest: one multiplication then weighs all channels."""
-    word = np.ascontiguousarray(image).view(np.uint32)[..., 0].astype(np.uint64)
-    word = (word | word << np.uint64(16)) & np.uint64(0x0000FFFF0000FFFF)
-    return (word | word << np.uint64(8)) & np.uint64(0x00FF00FF00FF00FF)
+def quads(tile: NDArray[np.uint8]) -> NDArray[np.uint32]:
+    """Every texel of a repeating tile with its right, lower and lower right neighbour, lowest byte first."""
+    right, below = np.roll(tile, -1, axis=1), np.roll(tile, -1, axis=0)
+    return np.stack([tile, right, below, np.roll(right, -1, axis=0)], axis=-1).view(np.uint32)[..., 0]
 
 
 class Atlas:
@@ -189,16 +188,17 @@ class Atlas:
         self._table.append(rows + [rows[-1]] * (LEVELS - len(rows)))
         return len(self._table) - 1
 
-    def packed(self) -> tuple[NDArray[np.uint64], NDArray[np.int64]]:
+    def packed(self) -> tuple[NDArray[np.uint32], NDArray[np.int64]]:
         """Texels and where they are.
 
         Returns:
-            ``(n,)`` texels as :func:`lanes` and the table ``(textures, LEVELS, 3)``: offset, log2 width, log2 height.
+            ``(n,)`` texels, red in the lowest byte, and the table ``(textures, LEVELS, 3)``: offset, log2 width,
+            log2 height.
         """
-        texels = np.empty(self._size, np.uint64)
+        texels = np.empty(self._size, np.uint32)
         start = 0
         for part in self._parts:
             count = part.shape[0] * part.shape[1]
-            texels[start : start + count] = lanes(part).ravel()
+            texels[start : start + count] = np.ascontiguousarray(part).view(np.uint32).ravel()
             start += count
         return texels, np.array(self._table, np.int64)

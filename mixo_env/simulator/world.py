@@ -16,7 +16,7 @@ from mixo_env.simulator.materials import city_materials
 from mixo_env.simulator.mesh import Mesh, PatchSet, mesh_of, packed, quad
 from mixo_env.simulator.shadows import EXTENT_M, Shadows
 from mixo_env.simulator.streets import HALF_CITY_BLOCKS
-from mixo_env.simulator.textures import Atlas, detail_tile, reductions, sky_tile
+from mixo_env.simulator.textures import Atlas, detail_tile, quads, reductions, sky_tile
 from mixo_env.simulator.vehicle_models import ground_aligned, vehicle_models
 
 BlockSide = tuple[int, int, str]
@@ -35,7 +35,7 @@ class World:
         static: patches of everything that never moves.
         vehicles: meshes of vehicles by kind and colour, x forward, origin at the centre on the ground.
         texels, table: packed atlas, see ``Atlas.packed``.
-        detail: fine-grain tile with reductions, bytes one after the other.
+        detail: fine-grain tile with reductions as :func:`quads`, one after the other.
         detail_start: first entry of each reduction.
         sky: clouds, ``(512, 512)`` bytes.
         sunlight: ``(4096, 4096)`` sunlight on the ground, bytes.
@@ -48,9 +48,9 @@ class World:
     sun: NDArray[np.float64]
     static: PatchSet
     vehicles: dict[tuple[str, int], Mesh]
-    texels: NDArray[np.uint64]
+    texels: NDArray[np.uint32]
     table: NDArray[np.int64]
-    detail: NDArray[np.uint8]
+    detail: NDArray[np.uint32]
     detail_start: NDArray[np.int64]
     sky: NDArray[np.uint8]
     sunlight: NDArray[np.uint8]
@@ -59,11 +59,11 @@ class World:
     ground_texels_per_m: float
 
 
-def grain_levels(tile: NDArray[np.uint8]) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
-    """Fine grain with all reductions in one row, and where each reduction starts."""
+def grain_levels(tile: NDArray[np.uint8]) -> tuple[NDArray[np.uint32], NDArray[np.int64]]:
+    """Fine grain with all reductions in one row, as :func:`quads`, and where each reduction starts."""
     levels = reductions(tile)
     start = np.concatenate([[0], np.cumsum([level.size for level in levels[:-1]])]).astype(np.int64)
-    return np.concatenate([level.ravel() for level in levels]), start
+    return np.concatenate([quads(level).ravel() for level in levels]), start
 
 
 def lamp_light(lamps: NDArray[np.float64]) -> NDArray[np.float32]:
