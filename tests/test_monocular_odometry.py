@@ -41,7 +41,7 @@ def drive(mounting_deg: float, speed: list[float], rate_deg: list[float]) -> tup
 
 @pytest.mark.parametrize("mounting_deg", [0.0, 55.0, 110.0, 180.0, 250.0])
 def test_pictures_of_a_drive(mounting_deg: float) -> None:
-    steps, truth = drive(mounting_deg, [0.0, 0.0, 4.0, 6.0, 6.0, 6.0, 5.0, 5.0], [0, 0, 0, 5, 10, 10, 0, -10])
+    steps, truth = drive(mounting_deg, [0.0, 0.0, 4.0, 6.0, 6.0, 6.0, 5.0, 5.0], [0, 0, 0, 3, 6, 9, 6, 3])
     tracking = np.array([step.state is State.TRACKING for step in steps])
     assert tracking[4:].all()
     estimate = np.array([step.yaw_increment_rad for step in steps])

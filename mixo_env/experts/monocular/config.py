@@ -29,6 +29,7 @@ class MonocularConfig:
         tilt_std_rad: soft zero prior on the roll and pitch increments between two images.
         slip_std: soft prior of the sideways and vertical motion, as a share of the distance (non-holonomic car).
         course_spread: the same for a single pair, about the slow mean that earlier pairs have shown.
+        yaw_acceleration_radps2: standard deviation of the change of yaw rate from pair to pair, per second.
         solver_matches: at most so many matches, evenly picked, enter the motion solver.
         min_matches: fewer matches and the camera is lost (50 in the paper).
         min_inliers: fewer matches in agreement with the motion and the camera is lost.
@@ -56,6 +57,7 @@ class MonocularConfig:
     tilt_std_rad: float = 0.003
     slip_std: float = 0.05
     course_spread: float = 0.006
+    yaw_acceleration_radps2: float = 0.2
     solver_matches: int = 800
     min_matches: int = 50
     min_inliers: int = 30

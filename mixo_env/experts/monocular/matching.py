@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from mixo_env.experts.monocular.bits import population_count
 from mixo_env.experts.monocular.features import Features
 
-PROBES = 4
+PROBES = 10
 """Nodes that a feature of the first image looks into."""
 
 _FAR = 512  # more bits than a descriptor has

@@ -34,7 +34,8 @@ _DEPTH_SAMPLES = 20.0  # depths of neighbouring points are alike: all matches to
 _SLOPE = math.tan(math.radians(2.0))  # the road may fall away, and the car nod, by so much ...
 _DIP_M = 0.3  # ... and by this: nothing is seen below that
 _SLIP_FLOOR_M = 0.004
-_OPTIMISM = 1.6  # real errors over those of independent noise: neighbouring matches err together (simulated drives)
+_OPTIMISM = 1.4  # real errors over those of independent noise: neighbouring matches err together (simulated drives)
+_SEVERITY = 0.6  # of the redescending weights: matches of movers and along weak edges err little but all the same way
 _STILL_M = 1e-4  # stands for zero distance, keeps epipolar directions defined; below 0.1 px everywhere
 
 
@@ -49,6 +50,7 @@ class MotionPrior:
         tilt_std_rad: standard deviation of roll and pitch increments.
         slip_mean, slip_std: expected sideways motion and its standard deviation, as shares of the distance.
         heave_mean, heave_std: the same of vertical motion.
+        yaw_mean_rad, yaw_std_rad: expected yaw increment and its standard deviation; infinite when nothing is known.
     """
 
     distance_m: float
@@ -59,6 +61,8 @@ class MotionPrior:
     slip_std: float = 0.05
     heave_mean: float = 0.0
     heave_std: float = 0.05
+    yaw_mean_rad: float = 0.0
+    yaw_std_rad: float = math.inf
 
     def offset(self) -> tuple[FloatArray, FloatArray]:
         """Mean [m] and standard deviation [m] of slip and heave, ``(2,)`` each, over this distance."""
@@ -216,6 +220,8 @@ def refine_motion(
     distance: float,
     yaw: float,
     noise: float,
+    yaw_mean: float,
+    yaw_std: float,
     tilt_std: float,
     offset: FloatArray,
     offset_std: FloatArray,
@@ -231,6 +237,8 @@ def refine_motion(
         distance: travelled [m].
         yaw: start value [rad].
         noise: expected position noise on the image plane; the scale is then estimated from the residuals.
+        yaw_mean: prior mean of the yaw increment [rad].
+        yaw_std: prior standard deviation of it [rad], may be infinite.
         tilt_std: prior of pitch and roll [rad].
         offset: ``(2,)`` prior mean of slip and heave [m].
         offset_std: ``(2,)`` prior standard deviation of slip and heave [m].
@@ -293,7 +301,7 @@ def refine_motion(
             if last:
                 continue
             q = r / sigma
-            weight = 1.0 / (1.0 + 0.25 * q * q) ** 2
+            weight = 1.0 / (1.0 + _SEVERITY * q * q) ** 2
             rho = along / reach if reach > 1e-9 else 0.0
             rho = min(max(rho, 0.0), _MAX_INVERSE_DEPTH)
             variance = sigma * sigma + reach * reach * depth_variance
@@ -325,6 +333,8 @@ def refine_motion(
             for j in range(k):
                 h[j, k] = h[k, j]
         variance = sigma * sigma
+        h[0, 0] += variance / yaw_std**2
+        g[0] += variance / yaw_std**2 * (x[0] - yaw_mean)
         for k in range(1, 3):
             h[k, k] += variance / tilt_std**2
             g[k] += variance / tilt_std**2 * x[k]
@@ -390,6 +400,8 @@ def estimate_motion(
         distance,
         start_rad,
         prior.noise,
+        prior.yaw_mean_rad,
+        prior.yaw_std_rad,
         prior.tilt_std_rad,
         *prior.offset(),
         10,

@@ -14,10 +14,12 @@ from mixo_env.experts.monocular.config import MonocularConfig
 from mixo_env.experts.monocular.course import Course
 from mixo_env.experts.monocular.motion import Motion, estimate_motion
 from mixo_env.experts.monocular.pair import Frame, Pair, PairSolver
+from mixo_env.experts.monocular.turn import Turn
 from mixo_env.nuscenes.scene import CameraCalibration
 
 _FROZEN_DISTANCE_M = 0.05  # moving at least so far must change at least one pixel
-_FARTHEST_STD = 4.0  # a refined yaw increment must lie within so many standard deviations of that of the pair alone
+_AGREE_STD = 4.0  # yaw increments so many standard deviations apart contradict each other
+_LEAST_SUPPORT = 0.4  # an expected motion holds if it has so many of the inliers of the best motion of the pair alone
 
 
 class MonocularOdometry:
@@ -30,8 +32,9 @@ class MonocularOdometry:
       ``initial_matches``) and the car travelled ``initial_distance_m`` during them; a car that stands still gives no
       parallax, so ``initial_patience_pairs`` good pairs are enough without it. The pair that ends it is TRACKING.
     * TRACKING while pairs stay good: the only state with an increment.
-    * LOST on the first pair that is not good: fewer than ``min_matches`` matches, no trustworthy motion, an image equal
-      to the last one although the car moved, a gap in time too long. The next good pair starts INITIALISING again.
+    * LOST on the first pair that is not good: fewer than ``min_matches`` matches, no trustworthy motion, a turn that no
+      car can make after the last one (a vehicle that drives past fills the view), an image equal to the last one
+      although the car moved, a gap in time too long. The next good pair starts INITIALISING again.
 
     The row "w/o inertial initialization" of the paper is a matter of replay: zero yaw and distance in every step until
     the first TRACKING of a scene. Instant re-initialisation is ``initial_pairs=1, initial_distance_m=0.0``.
@@ -51,6 +54,7 @@ class MonocularOdometry:
         self.camera: MountedCamera = mount(calibration, self.config.max_pixels)
         self._solver = PairSolver(self.camera, self.config)
         self._course = Course(self.config.slip_std, self.config.course_spread)
+        self._turn = Turn(self.config.yaw_acceleration_radps2)
         self._previous: Frame | None = None
         self._last_timestamp_us: int | None = None
         self._last_image: NDArray[np.uint8] | None = None
@@ -80,11 +84,11 @@ class MonocularOdometry:
         self._last_timestamp_us, self._last_image = timestamp_us, working
         if last is not None and abs(distance_m) > _FROZEN_DISTANCE_M and np.array_equal(working, last):
             self._previous = None  # the time of a frozen image is unknown: nothing may be compared with it
-            return self._close(None, distance_m)
+            return self._close(None, gap_s, distance_m)
         frame = self._previous = self._solver.frame(working)
         if previous is None or gap_s > self.config.max_gap_s:
-            return self._close(None, distance_m)
-        return self._close(self._solver.compare(previous, frame, gap_s, distance_m), distance_m)
+            return self._close(None, gap_s, distance_m)
+        return self._close(self._solver.compare(previous, frame, gap_s, distance_m), gap_s, distance_m)
 
     def _check(self, image: NDArray[np.uint8], timestamp_us: int, distance_m: float) -> None:
         name, camera = self.camera.channel, self.camera
@@ -103,14 +107,16 @@ class MonocularOdometry:
         if not math.isfinite(distance_m):
             raise DatasetError(f"{name}: distance must be finite, got {distance_m} m: check the wheel speeds")
 
-    def _close(self, pair: Pair | None, distance_m: float) -> CameraStep:
+    def _close(self, pair: Pair | None, gap_s: float, distance_m: float) -> CameraStep:
         """Advance the state by one image and report."""
         config = self.config
-        motion = pair.motion if pair is not None else None
-        share = 0.0 if motion is None else float(np.mean(motion.inlier))
+        found = None if pair is None else pair.motion
+        share = 0.0 if found is None else float(np.mean(found.inlier))
         inliers = 0 if pair is None else round(share * pair.matches)
-        good = motion is not None and inliers >= config.min_inliers and motion.yaw_std_rad <= config.max_yaw_std_rad
-        if not good:
+        sure = found is not None and inliers >= config.min_inliers and found.yaw_std_rad <= config.max_yaw_std_rad
+        motion = found if sure else None
+        refined = self._refined(pair, motion, gap_s) if pair is not None and motion is not None else None
+        if refined is None:
             first_image = pair is None and self._state is State.INITIALISING and self._good_pairs == 0
             self._state = State.INITIALISING if first_image else State.LOST
             self._good_pairs, self._good_distance_m = 0, 0.0
@@ -124,26 +130,35 @@ class MonocularOdometry:
             moved = self._good_distance_m >= config.initial_distance_m and self._good_pairs >= config.initial_pairs
             if moved or self._good_pairs >= config.initial_patience_pairs:
                 self._state = State.TRACKING
-        refined = self._refined(pair, motion) if good and pair is not None and motion is not None else None
-        tracking = self._state is State.TRACKING and refined is not None
+        tracking = self._state is State.TRACKING
         focal = float(np.mean(self.camera.focal_px))
         return CameraStep(
             state=self._state,
-            yaw_increment_rad=refined.yaw_rad if tracking and refined else math.nan,
-            yaw_std_rad=refined.yaw_std_rad if tracking and refined else math.nan,
+            yaw_increment_rad=refined.yaw_rad if refined and tracking else math.nan,
+            yaw_std_rad=refined.yaw_std_rad if refined and tracking else math.nan,
             matches=0 if pair is None else pair.matches,
             inliers=inliers,
-            residual_px=motion.residual * focal if motion is not None else math.nan,
+            residual_px=math.nan if found is None else found.residual * focal,
             flow_px=math.nan if pair is None else pair.flow_px,
-            two_frame_yaw_increment_rad=motion.yaw_rad if good and motion else math.nan,
+            two_frame_yaw_increment_rad=math.nan if motion is None else motion.yaw_rad,
         )
 
-    def _refined(self, pair: Pair, motion: Motion) -> Motion:
-        """The motion of a good pair, given the course that earlier pairs have shown; the course learns from it."""
-        prior = self._course.expect(pair.prior)
-        camera = self.camera
-        solved = estimate_motion(pair.first, pair.second, camera.rotation, camera.position_m, prior, motion.yaw_rad)
-        if solved is None or not abs(solved.yaw_rad - motion.yaw_rad) < _FARTHEST_STD * motion.yaw_std_rad:
-            return motion
-        self._course.learn(solved, prior)
+    def _refined(self, pair: Pair, motion: Motion, gap_s: float) -> Motion | None:
+        """The motion of a pair, given what earlier pairs have shown of course and turn; both learn from it.
+
+        ``None`` when the car cannot have turned so: whatever fills the view moves itself.
+        """
+        assert self._last_timestamp_us is not None
+        now_us, camera = self._last_timestamp_us, self.camera
+        prior = self._turn.expect(self._course.expect(pair.prior), now_us, gap_s)
+        tolerance = _AGREE_STD * math.hypot(prior.yaw_std_rad, motion.yaw_std_rad)
+        start = motion.yaw_rad if abs(motion.yaw_rad - prior.yaw_mean_rad) < tolerance else prior.yaw_mean_rad
+        solved = estimate_motion(pair.first, pair.second, camera.rotation, camera.position_m, prior, start)
+        if solved is None or np.count_nonzero(solved.inlier) < _LEAST_SUPPORT * np.count_nonzero(motion.inlier):
+            solved = motion
+        else:
+            self._course.learn(solved, prior)
+        if abs(solved.yaw_rad - prior.yaw_mean_rad) > _AGREE_STD * prior.yaw_std_rad:
+            return None
+        self._turn.learn(solved, now_us, gap_s)
         return solved
