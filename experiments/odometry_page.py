@@ -212,13 +212,17 @@ nuScenes folder or a KITTI sequence.
    One unknown needs no sampling, so the result is always the same.
 7. *Refine.* All unknowns of the motion together, by iteratively reweighted least squares; matches on moving vehicles
    and wrong matches lose their weight.
-8. *Course.* Two images of a side view hardly tell a turn from a sideways motion. But a car moves sideways in a regular
-   way: course and heading differ by an angle that is nearly constant over minutes. Its slow mean, and that of heave,
-   are learnt from earlier pairs and replace the wide prior of a pair alone; then the pair is refined once more. The
-   increment without this memory is recorded beside it, as `two_frame_yaw_increment_rad`.
+8. *Course and turn.* Two images of a side view hardly tell a turn from a sideways motion. But a car moves sideways in a
+   regular way: course and heading differ by an angle that is nearly constant over minutes. Its slow mean, and that of
+   heave, are learnt from earlier pairs and replace the wide prior of a pair alone. Nor can a car change its yaw rate at
+   will: the rate of the last pair is expected of the next, within `yaw_acceleration_radps2`. Then the pair is refined
+   once more. The increment without this memory is recorded beside it, as `two_frame_yaw_increment_rad`.
 
 No measured yaw rate enters anywhere; a test changes every gyro of the car and finds these increments the same to the
 last bit. The distance does enter: it is the scale.
+
+`python -m experiments.benchmarks.odometry FOLDER` measures it on a nuScenes folder or a KITTI sequence, with `--peer`
+beside ORB-SLAM3 on the same images (`experiments/peers`: its own process and virtual environment, never imported).
 
 ## The motion between two images
 
@@ -258,8 +262,9 @@ standard deviation is below `max_yaw_std_rad`.
   each, while the car travelled `initial_distance_m`; a car that stands gives no parallax, and is let in after
   `initial_patience_pairs`.
 * TRACKING: while pairs stay good; the only state with an increment.
-* LOST: from the first pair that is not good, after a gap longer than `max_gap_s`, or when the image does not change
-  although the car moves. The next good pair is INITIALISING again.
+* LOST: from the first pair that is not good, after a turn that no car can make (a vehicle that drives past fills the
+  view), after a gap longer than `max_gap_s`, or when the image does not change although the car moves. The next good
+  pair is INITIALISING again.
 
 A recording keeps what the expert said; what stands in for a lost camera is decided later, by the environment (its
 option `lost`). The row *w/o inertial initialization* of the paper is zero yaw and distance until the first TRACKING.

@@ -21,7 +21,7 @@ def measured(slip_m: float, heave_m: float, std_m: float) -> Motion:
 
 
 def test_before_anything_was_seen_the_prior_is_the_wide_one() -> None:
-    prior = Course(0.05, 0.0001).expect(MotionPrior(DISTANCE, 0.1, 0.001))
+    prior = Course(0.05, 0.0001).expect(MotionPrior(DISTANCE, 0.1, 0.001), 0.0)
     assert (prior.slip_mean, prior.heave_mean) == (0.0, 0.0)
     assert prior.slip_std == pytest.approx(0.05, rel=1e-4)
     assert prior.heave_std == pytest.approx(0.05, rel=1e-4)
@@ -33,10 +33,10 @@ def test_one_pair_is_combined_as_two_gaussians() -> None:
     prior_std = wide.offset()[1][0]
     seen_m, seen_std = 0.016, 0.012  # what the images alone say
     weight = 1.0 / seen_std**2 + 1.0 / prior_std**2
-    course.learn(measured(seen_m / seen_std**2 / weight, 0.0, weight**-0.5), wide)
+    course.learn(measured(seen_m / seen_std**2 / weight, 0.0, weight**-0.5), wide, 0.0)
     variance = (seen_std / DISTANCE) ** 2 + 0.01**2
     expected = (seen_m / DISTANCE / variance) / (1.0 / variance + 1.0 / 0.05**2)
-    after = course.expect(wide)
+    after = course.expect(wide, 0.0)
     assert after.slip_mean == pytest.approx(expected)
     assert after.slip_std**2 == pytest.approx(0.01**2 + 1.0 / (1.0 / variance + 1.0 / 0.05**2))
 
@@ -44,13 +44,13 @@ def test_one_pair_is_combined_as_two_gaussians() -> None:
 def test_standstill_and_a_wild_pair_teach_nothing() -> None:
     course = Course(0.05, 0.006)
     for _ in range(30):
-        prior = course.expect(MotionPrior(DISTANCE, 0.1, 0.001))
-        course.learn(measured(-0.008, 0.0, 0.003), prior)
-    learnt = course.expect(MotionPrior(DISTANCE, 0.1, 0.001)).slip_mean
+        prior = course.expect(MotionPrior(DISTANCE, 0.1, 0.001), 0.0)
+        course.learn(measured(-0.008, 0.0, 0.003), prior, 0.0)
+    learnt = course.expect(MotionPrior(DISTANCE, 0.1, 0.001), 0.0).slip_mean
     assert learnt == pytest.approx(-0.01, abs=0.002)
-    course.learn(measured(0.4, 0.4, 0.003), course.expect(MotionPrior(DISTANCE, 0.1, 0.001)))
-    course.learn(measured(0.001, 0.0, 0.001), course.expect(MotionPrior(0.0, 0.1, 0.001)))
-    assert course.expect(MotionPrior(DISTANCE, 0.1, 0.001)).slip_mean == learnt
+    course.learn(measured(0.4, 0.4, 0.003), course.expect(MotionPrior(DISTANCE, 0.1, 0.001), 0.0), 0.0)
+    course.learn(measured(0.001, 0.0, 0.001), course.expect(MotionPrior(0.0, 0.1, 0.001), 0.0), 0.0)
+    assert course.expect(MotionPrior(DISTANCE, 0.1, 0.001), 0.0).slip_mean == learnt
 
 
 def test_a_side_view_finds_the_course() -> None:
@@ -68,13 +68,29 @@ def test_a_side_view_finds_the_course() -> None:
             for points in seen
         )
         alone = MotionPrior(DISTANCE, 0.08, 0.35 / FOCAL)
-        prior = course.expect(alone)
+        prior = course.expect(alone, 0.0)
         solved = estimate_motion(first, second, SIDE, LEVER, alone)
         assert solved is not None
         refined = estimate_motion(first, second, SIDE, LEVER, prior, solved.yaw_rad)
         assert refined is not None
-        course.learn(refined, prior)
+        course.learn(refined, prior, 0.0)
         errors.append((solved.yaw_rad, refined.yaw_rad))
     alone_rms, refined_rms = np.sqrt(np.mean(np.square(errors[10:]), axis=0))
     assert refined_rms < 1.02 * alone_rms
-    assert course.expect(MotionPrior(DISTANCE, 0.08, 0.001)).slip_mean == pytest.approx(slip, abs=0.004)
+    assert course.expect(MotionPrior(DISTANCE, 0.08, 0.001), 0.0).slip_mean == pytest.approx(slip, abs=0.004)
+
+
+def test_a_turn_widens_the_slip_and_teaches_less() -> None:
+    """Tyres under side force roll at an angle of 0.006 rad per m/s^2 to the way; heave does not care."""
+    wide = MotionPrior(DISTANCE, 0.1, 0.001)
+    course = Course(0.05, 0.006)
+    straight, turning = course.expect(wide, 0.0), course.expect(wide, -2.0)
+    assert turning.slip_std == pytest.approx(math.hypot(straight.slip_std, 0.012))
+    assert turning.heave_std == straight.heave_std
+    taught = []
+    for sideways in (0.0, 2.0):
+        course = Course(0.05, 0.006)
+        course.learn(measured(-0.008, 0.0, 0.003), course.expect(wide, sideways), sideways)
+        taught.append(course.expect(wide, 0.0))
+    assert 0.0 > taught[1].slip_mean > taught[0].slip_mean
+    assert taught[1].heave_std == taught[0].heave_std

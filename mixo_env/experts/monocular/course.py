@@ -15,7 +15,8 @@ from dataclasses import replace
 from mixo_env.experts.monocular.motion import Motion, MotionPrior
 
 _SLOWEST_M = 0.2  # shorter ways between two images say nothing about a direction
-_FORGET = 0.99  # weight that the past keeps from one pair to the next: a memory of about 8 s
+_SLIP_PER_ACCELERATION = 0.006  # rad per m/s^2: tyres under side force roll at an angle to the way
+_FORGET = 0.98  # weight that the past keeps from one pair to the next: a memory of about 4 s
 _FARTHEST = 3.0  # standard deviations; a pair that is further off is a mistake of its own
 
 
@@ -55,29 +56,42 @@ class Course:
     def __init__(self, start_std: float, spread: float) -> None:
         self._slip, self._heave, self._spread = _SlowMean(start_std), _SlowMean(start_std), spread
 
-    def expect(self, prior: MotionPrior) -> MotionPrior:
-        """The prior of a pair with what was learnt about slip and heave."""
-        slip_std, heave_std = (math.sqrt(self._spread**2 + mean.variance) for mean in (self._slip, self._heave))
+    def expect(self, prior: MotionPrior, sideways_mps2: float) -> MotionPrior:
+        """The prior of a pair with what was learnt about slip and heave.
+
+        Args:
+            prior: of the pair alone.
+            sideways_mps2: acceleration to the side: in a turn the course is less certain.
+        """
+        stds = [
+            math.hypot(spread, math.sqrt(mean.variance))
+            for mean, spread in zip((self._slip, self._heave), self._spreads(sideways_mps2), strict=True)
+        ]
         return replace(
-            prior, slip_mean=self._slip.mean, slip_std=slip_std, heave_mean=self._heave.mean, heave_std=heave_std
+            prior, slip_mean=self._slip.mean, slip_std=stds[0], heave_mean=self._heave.mean, heave_std=stds[1]
         )
 
-    def learn(self, motion: Motion, prior: MotionPrior) -> None:
+    def _spreads(self, sideways_mps2: float) -> tuple[float, float]:
+        """Standard deviations of the shares of one pair, slip and heave, around their means."""
+        return math.hypot(self._spread, _SLIP_PER_ACCELERATION * sideways_mps2), self._spread
+
+    def learn(self, motion: Motion, prior: MotionPrior, sideways_mps2: float) -> None:
         """Take slip and heave of a pair, freed of the prior that went into them.
 
         Args:
             motion: solution of the pair.
             prior: the one it was solved with.
+            sideways_mps2: as above.
         """
         distance = prior.distance_m
         if abs(distance) < _SLOWEST_M:
             return
         solved = ((motion.slip_m, motion.slip_std_m), (motion.heave_m, motion.heave_std_m))
-        for follower, (value, std), mean, prior_std in zip(
-            (self._slip, self._heave), solved, *prior.offset(), strict=True
+        for follower, (value, std), mean, prior_std, spread in zip(
+            (self._slip, self._heave), solved, *prior.offset(), self._spreads(sideways_mps2), strict=True
         ):
             information = 1.0 / std**2 - 1.0 / prior_std**2
             if information <= 1e-6 / prior_std**2:
                 continue
             seen = (value / std**2 - mean / prior_std**2) / information
-            follower.learn(float(seen) / distance, 1.0 / (information * distance**2) + self._spread**2)
+            follower.learn(float(seen) / distance, 1.0 / (information * distance**2) + spread**2)

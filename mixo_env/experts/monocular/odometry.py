@@ -150,14 +150,15 @@ class MonocularOdometry:
         """
         assert self._last_timestamp_us is not None
         now_us, camera = self._last_timestamp_us, self.camera
-        prior = self._turn.expect(self._course.expect(pair.prior), now_us, gap_s)
+        sideways_mps2 = pair.prior.distance_m * motion.yaw_rad / gap_s**2
+        prior = self._turn.expect(self._course.expect(pair.prior, sideways_mps2), now_us, gap_s)
         tolerance = _AGREE_STD * math.hypot(prior.yaw_std_rad, motion.yaw_std_rad)
         start = motion.yaw_rad if abs(motion.yaw_rad - prior.yaw_mean_rad) < tolerance else prior.yaw_mean_rad
         solved = estimate_motion(pair.first, pair.second, camera.rotation, camera.position_m, prior, start)
         if solved is None or np.count_nonzero(solved.inlier) < _LEAST_SUPPORT * np.count_nonzero(motion.inlier):
             solved = motion
         else:
-            self._course.learn(solved, prior)
+            self._course.learn(solved, prior, sideways_mps2)
         if abs(solved.yaw_rad - prior.yaw_mean_rad) > _AGREE_STD * prior.yaw_std_rad:
             return None
         self._turn.learn(solved, now_us, gap_s)
