@@ -19,6 +19,7 @@ class MonocularConfig:
         fast_threshold_low: the same where a grid cell has too few corners.
         max_pixels: images with more pixels are halved (2 x 2 averages) until they fit; ``None`` keeps them as they are.
         vocabulary: ``"general"``: the one that ships; or the path of one made by ``mixo train-vocabulary``.
+        match_words: a feature of the first image is compared with those of its so many nearest words in the second.
         match_max_bits: largest Hamming distance (of 256 bits) of a match.
         match_ratio: a match must be better than this share of the second-best distance in its search window.
         max_yaw_rate_radps: faster turns of the car are not searched for.
@@ -48,6 +49,7 @@ class MonocularConfig:
     fast_threshold_low: int = 7
     max_pixels: int | None = 600_000
     vocabulary: str = "general"
+    match_words: int = 10
     match_max_bits: int = 64
     match_ratio: float = 0.9
     max_yaw_rate_radps: float = 1.0
@@ -104,6 +106,6 @@ class MonocularConfig:
 
 PRESETS = {
     "fast": MonocularConfig(),
-    "paper": MonocularConfig(features=8000, levels=19, scale_factor=1.2, max_pixels=None),
+    "paper": MonocularConfig(features=8000, levels=19, scale_factor=1.2, max_pixels=None, match_words=4),
 }
 """Preset name -> settings."""

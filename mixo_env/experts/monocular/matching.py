@@ -1,7 +1,7 @@
 """Mutual matching of binary descriptors among features of similar words, orientation, size and place.
 
 Every feature of the second image lies in the node of its nearest word. Features of the first look into the nodes of
-their ``PROBES`` nearest words: descriptors of one corner often fall on either side of a border between words, and with
+their several nearest words: descriptors of one corner often fall on either side of a border between words, and with
 a single node the best of the wrong ones would take their place. Within a node features are sorted by orientation, so
 that only those that can match are touched at all.
 """
@@ -16,9 +16,6 @@ from numpy.typing import NDArray
 
 from mixo_env.experts.monocular.bits import population_count
 from mixo_env.experts.monocular.features import Features
-
-PROBES = 10
-"""Nodes that a feature of the first image looks into."""
 
 _FAR = 512  # more bits than a descriptor has
 _TURN_RAD = 0.5  # orientations of a match may differ by so much: the camera hardly rolls

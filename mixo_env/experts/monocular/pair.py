@@ -13,7 +13,7 @@ from mixo_env.experts.monocular.alignment import align_matches
 from mixo_env.experts.monocular.camera import MountedCamera
 from mixo_env.experts.monocular.config import MonocularConfig
 from mixo_env.experts.monocular.features import FeatureDetector, Features
-from mixo_env.experts.monocular.matching import PROBES, match_features
+from mixo_env.experts.monocular.matching import match_features
 from mixo_env.experts.monocular.motion import Motion, MotionPrior, estimate_motion
 from mixo_env.experts.monocular.vocabulary import GENERAL_VOCABULARY, load_vocabulary
 
@@ -27,7 +27,7 @@ class Frame:
     Attributes:
         image: ``(height, width)`` grey, working resolution.
         features: its corners.
-        words: ``(n, PROBES)`` nearest words of the vocabulary to each corner.
+        words: ``(n, match_words)`` nearest words of the vocabulary to each corner.
     """
 
     image: NDArray[np.uint8]
@@ -67,7 +67,7 @@ class PairSolver:
     def frame(self, image: NDArray[np.uint8]) -> Frame:
         """Features of an image ``(height, width)`` at working resolution."""
         features = self._detector.detect(image)
-        return Frame(image, features, self._vocabulary.nearest(features.descriptor, PROBES))
+        return Frame(image, features, self._vocabulary.nearest(features.descriptor, self.config.match_words))
 
     def compare(self, first: Frame, second: Frame, gap_s: float, distance_m: float) -> Pair:
         """Motion of the car from the first to the second image.
