@@ -3,7 +3,7 @@
     python -m experiments.episode_gif --dataroot FOLDER
 
 Without ``--dataroot`` the cameras' tiles show their match counts instead of their images; the images of ``mixocity``
-are made again by ``mixo simulate FOLDER``.
+are made again by ``make mixocity``.
 """
 
 from __future__ import annotations

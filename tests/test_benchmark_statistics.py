@@ -11,7 +11,8 @@ import pytest
 
 from experiments.benchmarks.drives import open_drives
 from experiments.benchmarks.matching import correct_matches, cpu_ms
-from experiments.benchmarks.odometry import HEAD, Run, rms, row
+from experiments.benchmarks.odometry import HEAD, Run, accumulated_deg, rms, row, run_camera
+from mixo_env.experts.monocular.config import MonocularConfig
 from mixo_env.nuscenes.tables import open_dataset
 from tests.nuscenes_fixture import DRIVES, write_nuscenes
 from tests.recording_fakes import write_sliding_texture
@@ -114,7 +115,9 @@ def test_drives_of_a_nuscenes_folder(tmp_path: Path) -> None:
     assert drive.image_paths == track.image_paths
     np.testing.assert_allclose(drive.turn_rad, np.diff(np.unwrap(track.yaw_rad)), atol=1e-9)
     np.testing.assert_allclose(drive.path_m, np.hypot(np.diff(track.x_m), np.diff(track.y_m)), rtol=1e-9)
-    assert drive.read(drive.image_paths[0]).shape == (track.calibration.height, track.calibration.width)
+    height, width = track.calibration.height, track.calibration.width
+    assert drive.read(drive.image_paths[0]).shape == (height, width)
+    assert drive.read(drive.image_paths[0], 1).shape == (height // 2, width // 2)
 
 
 def test_drives_of_a_kitti_sequence(tmp_path: Path) -> None:
@@ -136,3 +139,13 @@ def test_drives_of_a_kitti_sequence(tmp_path: Path) -> None:
     assert (drive.calibration.width, drive.calibration.height) == (60, 20)
     assert drive.calibration.intrinsic[0, 0] == 700.0
     assert (np.diff(drive.timestamp_us) > 0).all()
+    for config in (MonocularConfig(), MonocularConfig(max_pixels=600)):  # halved by the odometry: a PNG comes whole
+        shown = run_camera(drive, config, rescale=False)
+        assert len(shown.yaw_rad) == 3
+        assert np.isnan(shown.yaw_rad).all()  # pictures without a corner
+
+
+def test_accumulated_yaw_leaves_out_what_was_never_tracked() -> None:
+    lost = run([1.0, 1.0], [math.nan, math.nan])
+    assert accumulated_deg([run([1.0, 1.0, 1.0], [0.2, -0.5, math.nan]), lost]) == pytest.approx([0.3])
+    assert np.isnan(accumulated_deg([lost])).all()

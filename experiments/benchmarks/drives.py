@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Protocol
 
 import cv2
 import numpy as np
@@ -22,6 +23,14 @@ _KITTI_MOUNTING_M = (1.1, 0.0, 1.65)
 _KITTI_INTERVAL_S = 0.10365  # the nominal 10 Hz of its camera are 9.65 Hz
 
 
+class Reader(Protocol):
+    """How the image files of a drive are read."""
+
+    def __call__(self, path: Path, halvings: int = 0) -> NDArray[np.uint8]:
+        """A file as ``(height, width)`` grey uint8; raises :class:`DatasetError` if it cannot be read."""
+        ...
+
+
 @dataclass(frozen=True)
 class Drive:
     """One camera over one scene.
@@ -33,7 +42,7 @@ class Drive:
         timestamp_us: ``(n,)`` their times.
         turn_rad: ``(n - 1,)`` true yaw increments between consecutive images, left positive.
         path_m: ``(n - 1,)`` true path lengths.
-        read: path -> grey image.
+        read: path -> grey image; by request halved so many times, where the file's decoder can do that on the way.
     """
 
     scene: str
@@ -42,7 +51,7 @@ class Drive:
     timestamp_us: NDArray[np.int64]
     turn_rad: FloatArray
     path_m: FloatArray
-    read: Callable[[Path], NDArray[np.uint8]]
+    read: Reader
 
 
 def open_drives(root: Path, scenes: tuple[str, ...], cameras: tuple[str, ...]) -> Iterator[Drive]:
@@ -95,7 +104,8 @@ def _kitti(folder: Path) -> Drive:
     )
 
 
-def _read_png(path: Path) -> NDArray[np.uint8]:
+def _read_png(path: Path, halvings: int = 0) -> NDArray[np.uint8]:
+    """PNG decoders cannot halve on the way: the full size, whatever ``halvings`` says; the odometry halves it."""
     image = cv2.imread(str(path), cv2.IMREAD_GRAYSCALE)
     if image is None:
         raise DatasetError(f"{path} cannot be read as an image")

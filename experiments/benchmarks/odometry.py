@@ -38,7 +38,6 @@ from mixo_env.experts.expert import State
 from mixo_env.experts.monocular.config import MonocularConfig
 from mixo_env.experts.monocular.odometry import MonocularOdometry
 from mixo_env.nuscenes.selections import CAMERAS
-from mixo_env.recordings.steps import read_grey
 
 FloatArray = NDArray[np.float64]
 TURN_RADPS = np.radians(5.0)
@@ -84,7 +83,7 @@ def run_camera(drive: Drive, config: MonocularConfig, rescale: bool, images: int
     expert, other = MonocularOdometry(drive.calibration, config), MonocularOdometry(drive.calibration, config)
     for path, stamp, metres in list(zip(drive.image_paths, drive.timestamp_us, distance, strict=True))[:images]:
         start = time.process_time()
-        grey = read_grey(path, expert.halvings)
+        grey = drive.read(path, expert.halvings)
         decoded = time.process_time()
         steps.append(expert.process(grey, int(stamp), float(metres)))
         expert_ms.append(1e3 * (time.process_time() - decoded))

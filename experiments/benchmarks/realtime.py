@@ -26,7 +26,6 @@ from experiments.benchmarks.drives import Drive, open_drives
 from mixo_env.experts.monocular.config import PRESETS, MonocularConfig
 from mixo_env.experts.monocular.odometry import MonocularOdometry
 from mixo_env.nuscenes.selections import CAMERAS
-from mixo_env.recordings.steps import read_grey
 
 STEP_MS = 1e3 / 12.0
 _WARM_UP = 3  # rounds that compile and fill caches
@@ -40,7 +39,7 @@ def _round(drives: list[Drive], experts: list[MonocularOdometry], k: int) -> Non
     """Show image ``k`` of every drive."""
     for drive, expert in zip(drives, experts, strict=True):
         if k < len(drive.image_paths):
-            image = read_grey(drive.image_paths[k], expert.halvings)
+            image = drive.read(drive.image_paths[k], expert.halvings)
             expert.process(image, int(drive.timestamp_us[k]), float(_distances(drive)[k]))
 
 
@@ -106,7 +105,7 @@ def per_image(drives: list[Drive], config: MonocularConfig, images: int) -> tupl
         expert, metres = MonocularOdometry(drive.calibration, config), _distances(drive)
         for k, path in enumerate(drive.image_paths[:images]):
             start = time.thread_time()
-            image = read_grey(path, expert.halvings)
+            image = drive.read(path, expert.halvings)
             decoded = time.thread_time()
             expert.process(image, int(drive.timestamp_us[k]), float(metres[k]))
             decode_ms.append(1e3 * (decoded - start))

@@ -19,7 +19,7 @@ class MonocularConfig:
         fast_threshold_low: the same where a grid cell has too few corners.
         max_pixels: images with more pixels are halved (2 x 2 averages) until they fit; ``None`` keeps them as they are.
         vocabulary: ``"general"``: the one that ships; or the path of one made by ``mixo train-vocabulary``.
-        match_words: a feature of the first image is compared with those of its so many nearest words in the second.
+        match_words: so many nearest words of a feature of the first image are searched for its partner in the second.
         match_max_bits: largest Hamming distance (of 256 bits) of a match.
         match_ratio: a match must be better than this share of the second-best distance in its search window.
         max_yaw_rate_radps: faster turns of the car are not searched for.
@@ -30,7 +30,8 @@ class MonocularConfig:
         tilt_std_rad: soft zero prior on the roll and pitch increments between two images.
         slip_std: soft prior of the sideways and vertical motion, as a share of the distance (non-holonomic car).
         course_spread: the same for a single pair, about the slow mean that earlier pairs have shown.
-        yaw_acceleration_radps2: standard deviation of the change of yaw rate from pair to pair, per second.
+        yaw_acceleration_radps2: from one pair of images to the next the yaw rate is expected to change by so
+            much per second (standard deviation); four times as much, and the camera is lost.
         solver_matches: at most so many matches, evenly picked, enter the motion solver.
         min_matches: fewer matches and the camera is lost (50 in the paper).
         min_inliers: fewer matches in agreement with the motion and the camera is lost.
