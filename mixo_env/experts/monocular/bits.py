@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from llvmlite import ir
 from numba import types
 from numba.extending import intrinsic
 
@@ -19,3 +20,16 @@ def _count_bits(typing_context: Any, word: Any) -> Any:
 
 population_count: Any = intrinsic(_count_bits)
 """Number of set bits of a uint64; only inside ``@njit`` functions."""
+
+
+def _count_trailing(typing_context: Any, word: Any) -> Any:
+    """Signature and code generator of :data:`trailing_zeros`."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.cttz(arguments[0], ir.Constant(ir.IntType(1), 1))
+
+    return types.uint64(types.uint64), generate
+
+
+trailing_zeros: Any = intrinsic(_count_trailing)
+"""Number of zero bits below the lowest set one of a uint64 that is not 0; only inside ``@njit`` functions."""

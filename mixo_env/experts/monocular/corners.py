@@ -13,6 +13,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from mixo_env.experts.monocular.bits import trailing_zeros
+
 BORDER_PX = 19
 """No corner nearer to the edge: descriptor (radius 13 turned, plus smoothing) and orientation patch fit inside."""
 
@@ -47,8 +49,8 @@ def _comparison_pattern(radius: float = 13.0) -> NDArray[np.int8]:
 _PATTERN = _comparison_pattern()
 
 _DISC = np.array(
-    [[255 * (x * x + y * y <= _PATCH_RADIUS**2) for x in range(-15, 16)] for y in range(-15, 16)], np.uint8
-)  # mask of the round orientation patch
+    [[255 * (x * x + y * y <= _PATCH_RADIUS**2) for x in range(-15, 17)] for y in range(-15, 16)], np.uint8
+)  # mask of the round orientation patch, an empty 32nd column added
 
 
 @njit(cache=True)
@@ -88,17 +90,25 @@ def _smallest_maximum(ring: tuple[int, ...]) -> int:
 
 
 @njit(cache=True)
-def corner_scores(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """FAST-9 score of every pixel, 0 within ``BORDER_PX`` of the edge; same shape as ``image``.
+def corner_scores(image: NDArray[np.uint8], first: int, scores: NDArray[np.uint8]) -> None:
+    """FAST-9 scores of consecutive rows, 0 within ``BORDER_PX`` of the edge.
 
-    No branch in the inner loop: the compiler turns it into instructions on 32 pixels at a time, faster than any early
-    rejection.
+    No branch in the inner loop and bytes throughout: the compiler turns it into instructions on 32 pixels at a time,
+    faster than any early rejection.
+
+    Args:
+        image: ``(height, width)``.
+        first: row that the first row of ``scores`` stands for; may lie outside the image, as may the last.
+        scores: ``(rows, >= width)``, overwritten.
     """
     height, width = image.shape
-    scores = np.zeros_like(image)
     b = BORDER_PX
-    for y in range(b, height - b):
-        centre, out = image[y, b:], scores[y, b:]
+    for row in range(len(scores)):
+        y, out = first + row, scores[row, b:]
+        scores[row] = 0
+        if y < b or y >= height - b:
+            continue
+        centre = image[y, b:]
         r0, r1, r2, r3 = image[y - 3, b:], image[y - 3, b + 1 :], image[y - 2, b + 2 :], image[y - 1, b + 3 :]
         r4, r5, r6, r7 = image[y, b + 3 :], image[y + 1, b + 3 :], image[y + 2, b + 2 :], image[y + 3, b + 1 :]
         r8, r9, r10, r11 = image[y + 3, b:], image[y + 3, b - 1 :], image[y + 2, b - 2 :], image[y + 1, b - 3 :]
@@ -108,65 +118,74 @@ def corner_scores(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
                 r0[x], r1[x], r2[x], r3[x], r4[x], r5[x], r6[x], r7[x],
                 r8[x], r9[x], r10[x], r11[x], r12[x], r13[x], r14[x], r15[x],
             )  # fmt: skip
-            bright, dark = np.int16(_largest_minimum(ring)), np.int16(_smallest_maximum(ring))
-            c = np.int16(centre[x])
-            out[x] = np.uint8(max(max(bright - c, c - dark), np.int16(0)))
-    return scores
+            c = centre[x]
+            brighter = np.uint8(max(_largest_minimum(ring), c) - c)
+            out[x] = max(brighter, np.uint8(c - min(_smallest_maximum(ring), c)))
 
 
 @njit(cache=True)
-def _keep_peaks(scores: NDArray[np.uint8], low: int) -> NDArray[np.uint8]:
-    """Scores above ``low`` that are the maximum of their 3 x 3 neighbourhood; everything else is 0.
+def _keep_peaks(scores: NDArray[np.uint8], low: int, peaks: NDArray[np.uint8]) -> None:
+    """Of all rows but the first and the last: scores above ``low`` that are the maximum of their 3 x 3 neighbourhood.
 
-    Of equals the first in reading order stays. Rows are padded to whole words of 8 pixels.
+    Everything else is 0. Of equals the first in reading order stays.
     """
-    height, width = scores.shape
-    peaks = np.zeros((height, (width + 7) // 8 * 8), np.uint8)
-    for y in range(1, height - 1):
-        above, here, below, out = scores[y - 1], scores[y], scores[y + 1], peaks[y, 1:]
+    for y in range(len(peaks)):
+        above, here, below, out = scores[y], scores[y + 1], scores[y + 2], peaks[y, 1:]
         a0, a1, a2, h0, h1, h2 = above, above[1:], above[2:], here, here[1:], here[2:]
         b0, b1, b2 = below, below[1:], below[2:]
-        for x in range(width - 2):
+        least = np.uint8(low)
+        for x in range(scores.shape[1] - 2):
             s = h1[x]
-            first = (s > low) & (s > a0[x]) & (s > a1[x]) & (s > a2[x]) & (s > h0[x])
-            out[x] = s * np.uint8(first & (s >= h2[x]) & (s >= b0[x]) & (s >= b1[x]) & (s >= b2[x]))
-    return peaks
+            before = max(max(a0[x], a1[x]), max(max(a2[x], h0[x]), least))
+            after = max(max(h2[x], b0[x]), max(b1[x], b2[x]))
+            out[x] = s * np.uint8((s > before) & (s >= after))
 
 
 @njit(cache=True)
 def _cell_peaks(
-    peaks: NDArray[np.uint8], high: int, wanted: int
-) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.int32]]:
+    image: NDArray[np.uint8], high: int, low: int, wanted: int
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     """Peaks by grid cell, those below ``high`` left out of cells that have ``wanted`` above it.
 
+    One row of cells at a time, whose scores stay in the processor's cache.
+
     Returns:
-        Keys ``(n,)`` that are smaller the better the peak (its score, then reading order within the cell), where each
-        cell starts ``(cells + 1,)``, and how many peaks it has ``(cells,)`` (fewer than there is room).
+        Keys ``(n,)`` that are smaller the better the peak (its score, then reading order within the cell), and where
+        each cell starts ``(cells + 1,)``.
     """
-    height, width = peaks.shape
-    words = peaks.view(np.uint64)
+    height, width = image.shape
     rows, columns = -(-height // CELL_PX), -(-width // CELL_PX)
     key = np.empty(height * width // 4 + 1, np.int32)
     start = np.zeros(rows * columns + 1, np.int32)
-    counts = np.zeros(rows * columns, np.int32)
+    scores = np.zeros((CELL_PX + 2, columns * CELL_PX), np.uint8)
+    peaks = np.zeros((CELL_PX, columns * CELL_PX), np.uint8)
+    words = peaks.view(np.uint64)
+    weak = np.int32(255 - high) << 16
     total = 0
-    for cell in range(rows * columns):
-        top, left = cell // columns * CELL_PX, cell % columns * CELL_PX
-        start[cell] = total
-        strong = 0
-        for y in range(top, min(top + CELL_PX, height)):
-            for word in range(left // 8, min(left + CELL_PX, width) // 8):
-                if words[y, word] == 0:
-                    continue
-                for x in range(8 * word, 8 * word + 8):
-                    score = np.int32(peaks[y, x])
-                    if score > 0:
-                        key[total] = (255 - score) << 16 | (y - top) * CELL_PX + x - left
-                        total += 1
+    for row in range(rows):
+        scores[:2] = scores[CELL_PX:]
+        corner_scores(image, row * CELL_PX + 1, scores[2:])
+        _keep_peaks(scores, low, peaks)
+        for column in range(columns):
+            begin = total
+            strong = 0
+            for y in range(CELL_PX):
+                for part in range(CELL_PX // 8):
+                    word = words[y, column * (CELL_PX // 8) + part]
+                    while word != 0:
+                        bit = trailing_zeros(word) & np.uint64(56)
+                        score = np.int32((word >> bit) & np.uint64(255))
+                        word ^= np.uint64(score) << bit
+                        key[total] = (255 - score) << 16 | y * CELL_PX + 8 * part + np.int32(bit >> np.uint64(3))
                         strong += score > high
-        counts[cell] = strong if strong >= wanted else total - start[cell]
-    start[rows * columns] = total
-    return key, start, counts
+                        total += 1
+            if strong >= wanted:
+                end, total = total, begin
+                for k in range(begin, end):
+                    key[total] = key[k]
+                    total += key[k] < weak
+            start[row * columns + column + 1] = total
+    return key, start
 
 
 @njit(cache=True)
@@ -185,7 +204,8 @@ def grid_corners(image: NDArray[np.uint8], high: int, low: int, wanted: int, quo
     Returns:
         ``(n, 3)``: x, y, score; cell by cell, best first.
     """
-    key, start, counts = _cell_peaks(_keep_peaks(corner_scores(image), low), high, wanted)
+    key, start = _cell_peaks(image, high, low, wanted)
+    counts = np.diff(start)
     columns = -(-image.shape[1] // CELL_PX)
     # how many rounds are taken in full, and what is left for the last
     full, left = 0, quota
@@ -196,15 +216,14 @@ def grid_corners(image: NDArray[np.uint8], high: int, low: int, wanted: int, quo
     out = np.empty((quota, 3), np.int32)
     last = np.zeros(256, np.int32)  # scores of the last round
     for cell in range(len(counts)):  # move the best to the front, in order
+        keys = key[start[cell] : start[cell + 1]]
         for rank in range(min(counts[cell], full + 1)):
-            here = start[cell] + rank
-            best = here
-            for k in range(here + 1, start[cell + 1]):
-                if key[k] < key[best]:
-                    best = k
-            key[here], key[best] = key[best], key[here]
+            best = keys[rank]
+            for k in range(rank + 1, len(keys)):
+                best, keys[k] = min(best, keys[k]), max(best, keys[k])
+            keys[rank] = best
         if counts[cell] > full:
-            last[255 - (key[start[cell] + full] >> 16)] += 1
+            last[255 - (keys[full] >> 16)] += 1
     lowest = 255  # score from which on the last round is taken; of those that have it, ``left``
     while lowest > 0 and last[lowest] <= left:
         left -= last[lowest]
@@ -225,13 +244,40 @@ def grid_corners(image: NDArray[np.uint8], high: int, low: int, wanted: int, quo
 
 
 @njit(cache=True)
-def describe(
-    image: NDArray[np.uint8], smooth: NDArray[np.uint8], corners: NDArray[np.int32]
-) -> tuple[NDArray[np.float32], NDArray[np.uint64]]:
-    """Orientation [rad] ``(n,)`` and descriptor ``(n, 4)`` uint64 of corners ``(n, >=2)`` x, y."""
-    n = len(corners)
-    angle = np.empty(n, np.float32)
-    descriptor = np.empty((n, 4), np.uint64)
+def orientations(image: NDArray[np.uint8], corners: NDArray[np.int32]) -> NDArray[np.float32]:
+    """Direction [rad] ``(n,)`` from corners ``(n, >=2)`` x, y to the centroid of the grey values about them.
+
+    Sixteen bits hold all sums of a patch's columns, plain and weighted: many columns fit one instruction.
+    """
+    angle = np.empty(len(corners), np.float32)
+    side = _DISC.shape[1]
+    plain, weighted = np.empty(side, np.int16), np.empty(side, np.int16)
+    for i in range(len(corners)):
+        left, y = corners[i, 0] - _PATCH_RADIUS, corners[i, 1]
+        pixels, mask = image[y, left:], _DISC[_PATCH_RADIUS]
+        for k in range(side):
+            plain[k] = pixels[k] & mask[k]
+            weighted[k] = 0
+        for down in range(1, _PATCH_RADIUS + 1):
+            below, above, mask = image[y + down, left:], image[y - down, left:], _DISC[_PATCH_RADIUS + down]
+            for k in range(side):
+                lower, upper = np.int16(below[k] & mask[k]), np.int16(above[k] & mask[k])
+                plain[k] += lower + upper
+                weighted[k] += np.int16(down) * (lower - upper)
+        mx, my = 0, 0
+        for k in range(side):
+            mx += (k - _PATCH_RADIUS) * plain[k]
+            my += weighted[k]
+        angle[i] = math.atan2(my, mx)
+    return angle
+
+
+@njit(cache=True)
+def descriptors(
+    smooth: NDArray[np.uint8], corners: NDArray[np.int32], angle: NDArray[np.float32]
+) -> NDArray[np.uint64]:
+    """Descriptors ``(n, 4)`` of corners ``(n, >=2)`` x, y with orientation [rad] ``(n,)`` on the smoothed image."""
+    descriptor = np.empty((len(corners), 4), np.uint64)
     stride = smooth.shape[1]
     flat = smooth.ravel()
     offset = np.empty((_TURNS, 2, 256), np.int64)
@@ -239,26 +285,9 @@ def describe(
         for k in range(256):
             for point in range(2):
                 offset[turn, point, k] = _PATTERN[turn, k, 2 * point] + stride * _PATTERN[turn, k, 2 * point + 1]
-    side = 2 * _PATCH_RADIUS + 1
-    columns, weighted = np.empty(side, np.int32), np.empty(side, np.int32)
-    for i in range(n):
-        x, y = corners[i, 0], corners[i, 1]
-        columns[:] = 0
-        weighted[:] = 0
-        for row in range(side):
-            pixels, mask = image[y + row - _PATCH_RADIUS, x - _PATCH_RADIUS :], _DISC[row]
-            down = np.int32(row - _PATCH_RADIUS)
-            for k in range(side):
-                value = np.int32(pixels[k] & mask[k])
-                columns[k] += value
-                weighted[k] += down * value
-        mx, my = 0, 0
-        for k in range(side):
-            mx += (k - _PATCH_RADIUS) * columns[k]
-            my += weighted[k]
-        angle[i] = math.atan2(my, mx)
+    for i in range(len(corners)):
         turn = round(angle[i] * _TURNS / (2.0 * math.pi)) % _TURNS
-        at = np.int64(y * stride + x)
+        at = np.int64(corners[i, 1] * stride + corners[i, 0])
         for word in range(4):
             ones, twos = offset[turn, 0, 64 * word :], offset[turn, 1, 64 * word :]
             bits = np.uint64(0)
@@ -266,4 +295,4 @@ def describe(
                 brighter = flat[np.uint64(at + ones[k])] < flat[np.uint64(at + twos[k])]
                 bits |= np.uint64(brighter) << np.uint64(k)
             descriptor[i, word] = bits
-    return angle, descriptor
+    return descriptor

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixo_env.experts.monocular.config import MonocularConfig
-from mixo_env.experts.monocular.corners import CELL_PX, describe, grid_corners
+from mixo_env.experts.monocular.corners import CELL_PX, descriptors, grid_corners, orientations
 
 _SMOOTHING = cv2.getGaussianKernel(7, 2.0)  # twice as fast as cv2.GaussianBlur, the same but for rounding
 _SMALLEST_SIDE = 64  # [px] below this no corner has room for its 31 px patch on a second pyramid level
@@ -68,7 +68,8 @@ class FeatureDetector:
             if not len(corners):
                 continue
             smooth = np.asarray(cv2.sepFilter2D(layer, -1, _SMOOTHING, _SMOOTHING), np.uint8)
-            angle, descriptor = describe(layer, smooth, corners)
+            angle = orientations(layer, corners)
+            descriptor = descriptors(smooth, corners, angle)
             ratio = np.array([image.shape[1] / layer.shape[1], image.shape[0] / layer.shape[0]])
             position = ((corners[:, :2] + 0.5) * ratio - 0.5).astype(np.float32)
             found.append(Features(position, descriptor, np.full(len(corners), level, np.int32), angle))
