@@ -133,11 +133,19 @@ class Fleet:
         return patches
 
 
-def body_motion(vehicle: VehicleState, dt_s: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Rotation ``(3, 3)`` and translation ``(3,)`` of the map frame that carry the vehicle ``dt_s`` seconds on."""
-    turn = vehicle.yaw_rate_radps * dt_s
-    c, s = np.cos(turn), np.sin(turn)
-    rotation = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-    centre = np.array([vehicle.x_m, vehicle.y_m, 0.0])
-    travel = vehicle.speed_mps * dt_s * np.array([np.cos(vehicle.yaw_rad), np.sin(vehicle.yaw_rad), 0.0])
-    return rotation, centre + travel - rotation @ centre
+def body_motions(vehicles: Sequence[VehicleState], dt_s: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Motions of the map frame that carry the rigid bodies ``dt_s`` seconds on: the world, which stands, and vehicles.
+
+    Returns:
+        Rotations ``(1 + n, 3, 3)`` and translations ``(1 + n, 3)``.
+    """
+    states = [(v.x_m, v.y_m, v.yaw_rad, v.speed_mps, v.yaw_rate_radps) for v in vehicles]
+    x, y, yaw, speed, yaw_rate = np.array(states).reshape(-1, 5).T
+    turns, shifts = np.zeros((1 + len(states), 3, 3)), np.zeros((1 + len(states), 3))
+    turns[:, 2, 2] = turns[0, 0, 0] = turns[0, 1, 1] = 1.0
+    travel = (speed * dt_s * (np.cos(yaw), np.sin(yaw), np.zeros_like(yaw))).T
+    c, s = np.cos(yaw_rate * dt_s), np.sin(yaw_rate * dt_s)
+    turns[1:, 0, 0], turns[1:, 0, 1], turns[1:, 1, 0], turns[1:, 1, 1] = c, -s, s, c
+    centre = np.stack([x, y, np.zeros_like(x)], axis=1)
+    shifts[1:] = centre + travel - (turns[1:] @ centre[..., None])[..., 0]
+    return turns, shifts

@@ -11,21 +11,18 @@ from numpy.typing import NDArray
 
 from mixo_env.errors import ConfigurationError
 from mixo_env.nuscenes.scene import CameraCalibration
-from mixo_env.simulator.fleet import Fleet, body_motion
+from mixo_env.simulator.fleet import Fleet, body_motions
 from mixo_env.simulator.lamps import add_glare, light_window
 from mixo_env.simulator.rain import add_spray, mirror_road, spray_puffs
 from mixo_env.simulator.rasterizer import DepthBuffers
 from mixo_env.simulator.sampling import even_cells
-from mixo_env.simulator.sensor import NOISE_SIDE, expose, spread_motion
+from mixo_env.simulator.sensor import NOISE_SIDE, expose, mean_radiance
 from mixo_env.simulator.shading import shade
 from mixo_env.simulator.shadows import EXTENT_M
 from mixo_env.simulator.textures import quads
 from mixo_env.simulator.vehicles import VehicleState
 from mixo_env.simulator.weather import Weather, weather_named
 from mixo_env.simulator.world import World
-
-FAR_M = 240.0
-"""Everything farther away is haze."""
 
 EXPOSURE_LAG = 0.25
 """Share of the way to the wanted exposure that the control goes from one image to the next."""
@@ -71,12 +68,6 @@ def _middle(start: CameraPose, end: CameraPose) -> CameraPose:
     return CameraPose(start.rotation_map_from_camera @ half, 0.5 * (start.position_m + end.position_m))
 
 
-def _mean_radiance(radiance: NDArray[np.int64]) -> float:
-    """Mean over a sparse grid of the lower two thirds of the picture: the sky may turn white, as in a car's camera."""
-    some = radiance[len(radiance) // 3 :: 8, ::8]
-    return float(((some & 0x1FFFFF) + ((some >> 21) & 0x1FFFFF) + (some >> 42)).mean()) / (3.0 * RADIANCE_UNIT)
-
-
 _Memory = tuple[DepthBuffers, NDArray[np.int64], NDArray[np.float32], NDArray[np.float32]]
 """Depth buffers, radiance, motion and vignette of one picture size."""
 
@@ -101,7 +92,9 @@ class Renderer:
         self._fleet = Fleet(world, shadows=self.weather.sun > 0.0)
         self._daylight = world.sunlight, even_cells(world.sunlight), world.shadow_height
         grain = world.detail, world.detail_start
-        self._textures = world.texels, world.table, *grain, quads(world.sky).ravel(), world.ground_texels_per_m
+        sky, ground = quads(world.sky).ravel(), world.ground_texels_per_m
+        fineness = self.weather.taps, self.weather.grain_levels, self.weather.span_error_px
+        self._textures = world.texels, world.table, *grain, sky, ground, fineness
         self._no_lamps = np.zeros((1, 1), np.float32), np.zeros(2)
         w, unit = self.weather, RADIANCE_UNIT
         self._light = np.array(
@@ -145,17 +138,18 @@ class Renderer:
         rotation = np.ascontiguousarray(pose.rotation_map_from_camera.T)
         position = np.ascontiguousarray(pose.position_m, np.float64)
 
-        near = [v for v in vehicles if np.hypot(v.x_m - position[0], v.y_m - position[1]) < FAR_M]
+        sight = self.weather.sight_m
+        near = [v for v in vehicles if np.hypot(v.x_m - position[0], v.y_m - position[1]) < sight]
         buffers, radiance, flow, vignette = self._memory(height, width)
         patches = (self._fleet.placed(near), world.static)
-        buffers.draw_patches(patches, rotation, position, lens, FAR_M, world.texels, world.table)
+        buffers.draw_patches(patches, rotation, position, lens, sight, world.texels, world.table)
         lamps, lamp_origin = self._no_lamps
         if self.weather.lamps > self.weather.ambient:
             lamps, lamp_origin = light_window(world.lamp_light, EXTENT_M, position, near)
         to_ego = np.column_stack([calibration.rotation_ego_from_camera, calibration.translation_m])
         shade(
-            (buffers.owner, buffers.plane, buffers.style, buffers.mark),
-            (rotation, position, lens, FAR_M),
+            (buffers.owner, buffers.plane, buffers.style, buffers.mark, buffers.depth),
+            (rotation, position, lens, sight),
             self._light,
             self._textures,
             self._daylight,
@@ -170,6 +164,7 @@ class Renderer:
                 radiance,
                 buffers.owner,
                 buffers.depth,
+                buffers.plane,
                 buffers.mark,
                 rotation,
                 position,
@@ -180,11 +175,11 @@ class Renderer:
             )
             puffs = spray_puffs(near, rotation, position, self.weather.wetness)
             add_spray(radiance, buffers.depth, puffs, lens, world.sky, air)
-        wanted = min(self.weather.exposure_target / max(_mean_radiance(radiance), 1e-6), self.weather.largest_gain)
+        mean = mean_radiance(radiance) / RADIANCE_UNIT
+        wanted = min(self.weather.exposure_target / max(mean, 1e-6), self.weather.largest_gain)
         used = wanted if gain is None else gain
         if self.weather.lamps > self.weather.ambient:
             add_glare(radiance, RADIANCE_UNIT / used, GLARE)
-        spread_motion(buffers.depth, buffers.owner, flow)
         image = np.empty((height, width, 3), np.uint8)
         offset = np.random.default_rng(noise_seed).integers(0, NOISE_SIDE, (height, 2))
         shot, read = self.weather.shot_noise, self.weather.read_noise
@@ -212,12 +207,9 @@ class Renderer:
 
     def _motion(self, middle: CameraPose, end: CameraPose, vehicles: Sequence[VehicleState]) -> NDArray[np.float64]:
         """``(1 + vehicles, 12)`` rigid motions of the second half of the exposure in camera coordinates."""
-        half_s = 0.5 * self.weather.shutter_s
+        turns, shifts = body_motions(vehicles, 0.5 * self.weather.shutter_s)
         to_end = end.rotation_map_from_camera.T
         motion = np.empty((1 + len(vehicles), 12))
-        for number in range(len(motion)):
-            turn, shift = body_motion(vehicles[number - 1], half_s) if number else (np.eye(3), np.zeros(3))
-            rotation = to_end @ turn @ middle.rotation_map_from_camera
-            translation = to_end @ (turn @ middle.position_m + shift - end.position_m)
-            motion[number] = (*rotation.ravel(), *translation)
+        motion[:, :9] = (to_end @ turns @ middle.rotation_map_from_camera).reshape(-1, 9)
+        motion[:, 9:] = (to_end @ (turns @ middle.position_m + shifts - end.position_m)[..., None])[..., 0]
         return motion

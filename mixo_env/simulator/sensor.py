@@ -21,35 +21,45 @@ _ALIKE = 12  # sixteenths of a pixel
 
 
 @njit(cache=True, error_model="numpy")
-def spread_motion(depth, owner, flow):
-    """Let near surfaces that move sideways smear over what is behind them.
+def mean_radiance(radiance):
+    """Mean over a sparse grid of the lower two thirds of the picture: the sky may turn white, as in a car's camera."""
+    some = radiance[len(radiance) // 3 :: 8, ::8]
+    total = 0
+    for row in some:
+        for word in row:
+            total += (word & _FIELD) + (word >> 21 & _FIELD) + (word >> 42)
+    return total / some.size / 3.0
+
+
+@njit(**INLINED)
+def spread_motion(depth, ends, along, down):
+    """Let near surfaces in a row of pixels that move sideways smear over what is behind them.
 
     ``expose`` averages along each pixel's own motion, so a pole that passes before a distant wall would only be eaten
     at its edges. The wall's pixels that the pole sweeps (half its motion to either side) take the pole's motion.
 
     Args:
-        depth: ``(h, w)`` float32 1/z.
-        owner: ``(h, w)`` number of the surface.
-        flow: ``(2, h, w)`` float32, changed in place.
+        depth: ``(w,)`` float32 1/z.
+        ends: columns after which another surface begins, from left to right.
+        along: ``(w,)`` float32 motion along the row, changed in place.
+        down: ``(w,)`` float32 motion along columns, changed in place.
     """
-    height, width = depth.shape
-    for y in range(height):
-        for x in range(width - 1):
-            if owner[y, x] == owner[y, x + 1]:
-                continue
-            here, there = depth[y, x], depth[y, x + 1]
-            if here > there * _EDGE:
-                first, sense, near = x + 1, 1, x
-            elif there > here * _EDGE:
-                first, sense, near = x, -1, x + 1
-            else:
-                continue
-            du, dv, limit = flow[0, y, near], flow[1, y, near], depth[y, near] / _EDGE
-            for i in range(int(min(abs(du), float32(LONGEST_BLUR_PX)) * float32(0.5) + float32(0.5))):
-                column = first + sense * i
-                if column < 0 or column >= width or depth[y, column] > limit or abs(flow[0, y, column]) > abs(du):
-                    break
-                flow[0, y, column], flow[1, y, column] = du, dv
+    width = depth.shape[0]
+    for number in range(ends.shape[0]):
+        x = ends[number]
+        here, there = depth[x], depth[x + 1]
+        if here > there * _EDGE:
+            first, sense, near = x + 1, 1, x
+        elif there > here * _EDGE:
+            first, sense, near = x, -1, x + 1
+        else:
+            continue
+        du, dv, limit = along[near], down[near], depth[near] / _EDGE
+        for i in range(int(min(abs(du), float32(LONGEST_BLUR_PX)) * float32(0.5) + float32(0.5))):
+            column = first + sense * i
+            if column < 0 or column >= width or depth[column] > limit or abs(along[column]) > abs(du):
+                break
+            along[column], down[column] = du, dv
 
 
 @njit(**INLINED)

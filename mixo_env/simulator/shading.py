@@ -1,8 +1,8 @@
 """Radiance and image motion of every pixel from the patches that the rasteriser found.
 
 Pixels are shaded in short spans that show the same patch. Perspective is exact at both ends of a span and linear
-within; a span is cut so short that this misplaces the texture by less than 0.15 pixels. The reduction of the texture,
-haze and lamp light are chosen once per span.
+within; a span is cut so short that this misplaces the texture by a small part of a pixel only. The reduction of the
+texture, haze and lamp light are chosen once per span.
 """
 
 from __future__ import annotations
@@ -23,14 +23,12 @@ from mixo_env.simulator.sampling import (
     level,
     read_grain,
 )
+from mixo_env.simulator.sensor import spread_motion
 from mixo_env.simulator.shadows import PICTURE_TEXELS_PER_M
 from mixo_env.simulator.textures import DETAIL_SIDE
 
 SPAN = 32
 """Longest run of pixels that shares one reduction of the texture."""
-
-MOST_TAPS = 3
-"""Samples along the long axis of a pixel's footprint on a slanted surface."""
 
 RADIANCE_TOP = (1 << 18) - 1
 """Largest radiance of a pixel: eight of them fit into a field of 21 bits."""
@@ -44,7 +42,6 @@ _GRAIN_UNIT = 1.0 / (255.0 * 256.0)
 _BYTE_UNIT = 1.0 / (255.0 * _ONE)
 _DETAIL_LOG = DETAIL_SIDE.bit_length() - 1
 _SKY_LOG = 9
-_LAST_DETAIL = 5
 _EVEN_SPAN_TEXELS = 6.0
 _OFF_WALL_M = 0.8  # shadows are looked up this far off a surface, or every wall would shade itself
 
@@ -118,7 +115,10 @@ def _sky_run(row, begin, stop, camera, light, textures, motion, memory, out, flo
 
 @njit(**INLINED)
 def _whole(length):
-    """Pixels to read for a span: up to seven more than it has, so that SIMD leaves no rest."""
+    """Pixels to compute for a span: up to seven more than it has, so that SIMD leaves no rest.
+
+    What they write beyond the span, the next span of the row writes again.
+    """
     return (length + 7) & ~7
 
 
@@ -164,9 +164,9 @@ def _colour(red_blue, green_alpha, factors, tint0, tint1, tint2, haze0, haze1, h
 def _shade_run(row, begin, stop, k, seen, camera, light, textures, daylight, night, motion, memory, out, flow):
     """Shade the pixels ``begin`` to ``stop`` of a row, all of slot ``k``; see :func:`shade`."""
     reds, greens, scratch, noise, where = memory
-    _, plane, style, mark = seen
+    _, plane, style, mark, _ = seen
     rotation, position, lens, far = camera
-    texels, table, detail, detail_start, _, ground_scale = textures
+    texels, table, detail, detail_start, _, ground_scale, (most_taps, grain_levels, span_error) = textures
     sunlight, sun_cells, field = daylight
     lamps, lamp_origin, beam = night
     fx, fy, cx, cy = lens[0], lens[1], lens[2], lens[3]
@@ -203,7 +203,7 @@ def _shade_run(row, begin, stop, k, seen, camera, light, textures, daylight, nig
     mz0 = m[7] * dy + m[8] - m[6] * cx / fx + m[11] * w0
     mx1, my1, mz1 = m[0] / fx + m[9] * w1, m[3] / fx + m[10] * w1, m[6] / fx + m[11] * w1
     # Linear interpolation over n pixels errs by n^2 / 4 |w1 / w| pixels.
-    bend = 0.6 / (abs(w1) + 1e-12)
+    bend = 4.0 * span_error / (abs(w1) + 1e-12)
     sun_at_end, x = 0.0, begin
     while x < stop:
         w = w0 + w1 * x
@@ -230,7 +230,7 @@ def _shade_run(row, begin, stop, k, seen, camera, light, textures, daylight, nig
             wide, thin, ju, jv = along, across, uy, vy
         taps = 1
         if wide > 1.41:
-            taps = max(1, min(MOST_TAPS, int(wide / max(thin, 0.7) + 0.5)))
+            taps = max(1, min(most_taps, int(wide / max(thin, 0.7) + 0.5)))
         share = _INVERSE[taps]
         rung = level(wide * share)
         reduce = _POWER[rung] * _ONE
@@ -292,7 +292,7 @@ def _shade_run(row, begin, stop, k, seen, camera, light, textures, daylight, nig
         red_blue, green_alpha, factors, specks = (
             reds[:wide_span],
             greens[:wide_span],
-            scratch[: end - x],
+            scratch[:wide_span],
             noise[:wide_span],
         )
         steps_of_texture = tu, tv, step_u, step_v, tap_u, tap_v
@@ -309,18 +309,18 @@ def _shade_run(row, begin, stop, k, seen, camera, light, textures, daylight, nig
                 factors[i] = (steady + facing * sunny + emitted) * unit
         else:
             factors[:] = bright * unit
-        if fine < _LAST_DETAIL and strength > 0.0:
+        if fine < grain_levels and strength > 0.0:
             read_grain(detail[fine_start:], fine_log, gu, gv, grain_step_u, grain_step_v, where, specks)
             _apply_grain(grain_base, grain_gain, specks, factors)
-        _colour(red_blue, green_alpha, factors, tint0, tint1, tint2, haze0, haze1, haze2, out[row, x:end])
+        _colour(red_blue, green_alpha, factors, tint0, tint1, tint2, haze0, haze1, haze2, out[row, x : x + wide_span])
 
         back = 2.0 / max(mz0 + mz1 * x, 1e-4)
         mu, mv = (mx0 + mx1 * x) * back * fx + 2.0 * (cx - x), (my0 + my1 * x) * back * fy + 2.0 * (cy - row)
         back = 2.0 / max(mz0 + mz1 * last, 1e-4)
         nu = ((mx0 + mx1 * last) * back * fx + 2.0 * (cx - last) - mu) * inverse
         nv = ((my0 + my1 * last) * back * fy + 2.0 * (cy - row) - mv) * inverse
-        _ramp(mu, nu, flow[0, row, x:end])
-        _ramp(mv, nv, flow[1, row, x:end])
+        _ramp(mu, nu, flow[0, row, x : x + wide_span])
+        _ramp(mv, nv, flow[1, row, x : x + wide_span])
         x = end
 
 
@@ -329,13 +329,13 @@ def shade(seen, camera, light, textures, daylight, night, motion, out, flow):
     """Fill ``out`` with linear radiance and ``flow`` with the way each pixel's surface moves during the exposure.
 
     Args:
-        seen: owner, plane, style and mark of ``DepthBuffers``.
+        seen: owner, plane, style, mark and depth of ``DepthBuffers``.
         camera: rotation ``(3, 3)`` camera from map, position ``(3,)``, lens (fx, fy, cx, cy) and the limit of sight in
             metres.
         light: ``(15,)`` ambient, sun, haze per metre, haze colour (3), zenith colour (3), clouds, lamps, wetness,
             colour (3); radiance in units of the integer result.
         textures: texels and table of the atlas, fine grain and the first entry of each of its reductions, the
-            sky, and the texels per metre of the ground.
+            sky, the texels per metre of the ground, and ``(taps, grain_levels, span_error_px)`` of the weather.
         daylight: picture of the sunlight on the ground, its ``even_cells``, and the height of the houses' shadow.
         night: light of lamps on the ground (one value a metre, a power of two wide), map position of its corner, and
             ``(8,)`` rows x and y of ego from camera with their translation, for the car's own head lights.
@@ -344,14 +344,15 @@ def shade(seen, camera, light, textures, daylight, night, motion, out, flow):
         out: ``(h, w)`` int64, three 21-bit fields of radiance, red lowest, each at most ``RADIANCE_TOP``.
         flow: ``(2, h, w)`` float32 pixels, along columns and along rows.
     """
-    owner = seen[0]
+    owner, depth = seen[0], seen[4]
     memory = (
         np.empty(SPAN, np.uint32), np.empty(SPAN, np.uint32), np.empty(SPAN, np.float32), np.empty(SPAN, np.float32),
         np.empty((6, SPAN), np.int32),
     )  # fmt: skip
     height, width = owner.shape
+    ends = np.empty(width, np.int32)
     for row in range(height):
-        x = 0
+        x = runs = 0
         while x < width:
             k = owner[row, x]
             end = x + 1
@@ -361,4 +362,7 @@ def shade(seen, camera, light, textures, daylight, night, motion, out, flow):
                 _sky_run(row, x, end, camera, light, textures, motion, memory, out, flow)
             else:
                 _shade_run(row, x, end, k, seen, camera, light, textures, daylight, night, motion, memory, out, flow)
+            ends[runs] = end - 1
+            runs += 1
             x = end
+        spread_motion(depth[row], ends[: runs - 1], flow[0, row], flow[1, row])
