@@ -217,6 +217,11 @@ nuScenes folder or a KITTI sequence.
    heave, are learnt from earlier pairs and replace the wide prior of a pair alone. Nor can a car change its yaw rate at
    will: the rate of the last pair is expected of the next, within `yaw_acceleration_radps2`. Then the pair is refined
    once more. The increment without this memory is recorded beside it, as `two_frame_yaw_increment_rad`.
+9. *Three images.* Where points of the last pair are seen again, a local bundle adjustment of the three images measures
+   how much more or less the car turns than in the last pair: more exactly than any pair measures its own turn, and also
+   where traffic fills the view.
+10. *Heading.* A Kalman filter joins pairs and changes. What it learns about pairs already reported is added to the next
+    increment, so that the sum of the increments is the best heading known.
 
 No measured yaw rate enters anywhere; a test changes every gyro of the car and finds these increments the same to the
 last bit. The distance does enter: it is the scale.

@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from mixo_env.experts.expert import CameraStep, State
 from mixo_env.experts.monocular.camera import MountedCamera
-from mixo_env.experts.monocular.motion import Motion, camera_displacement
+from mixo_env.experts.monocular.kinematics import camera_displacement
+from mixo_env.experts.monocular.motion import Motion
 from mixo_env.experts.monocular.pair import PairSolver
 from mixo_env.geometry import rotation_from_yaw
 

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from mixo_env.experts.monocular.course import Course
-from mixo_env.experts.monocular.motion import Motion, MotionPrior, camera_displacement, estimate_motion
+from mixo_env.experts.monocular.kinematics import camera_displacement
+from mixo_env.experts.monocular.motion import Motion, MotionPrior, estimate_motion
 from mixo_env.geometry import rotation_from_yaw
 from tests.test_monocular_motion import AXES, street
 

@@ -7,7 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from mixo_env.experts.monocular.motion import MotionPrior, camera_displacement, estimate_motion
+from mixo_env.experts.monocular.kinematics import camera_displacement
+from mixo_env.experts.monocular.motion import MotionPrior, estimate_motion
 from mixo_env.geometry import rotation_from_yaw
 
 AXES = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])  # ego from camera, looking forward

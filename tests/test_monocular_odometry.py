@@ -14,7 +14,7 @@ import pytest
 from mixo_env.errors import ConfigurationError, DatasetError
 from mixo_env.experts.expert import CameraStep, State
 from mixo_env.experts.monocular.config import MonocularConfig
-from mixo_env.experts.monocular.motion import camera_displacement
+from mixo_env.experts.monocular.kinematics import camera_displacement
 from mixo_env.experts.monocular.odometry import MonocularOdometry
 from mixo_env.nuscenes.scene import CameraCalibration
 from tests.corridor import AXES, HEIGHT, WIDTH, calibration, picture
@@ -216,7 +216,7 @@ def kitti() -> tuple[CameraCalibration, list[np.ndarray], np.ndarray, np.ndarray
 @pytest.mark.skipif("MIXO_REAL_DATA" not in os.environ, reason="MIXO_REAL_DATA is not set")
 def test_real_road(capsys: pytest.CaptureFixture[str]) -> None:
     camera, images, distance, truth = kitti()
-    odometry = MonocularOdometry(camera, MonocularConfig(levels=8))
+    odometry = MonocularOdometry(camera)
     odometry.process(images[0], 1, 0.0)
     steps = [
         odometry.process(image, 1 + 103_650 * (k + 1), s)

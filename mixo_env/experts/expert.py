@@ -26,7 +26,8 @@ class CameraStep:
 
     Attributes:
         state: INITIALISING, TRACKING or LOST; never ``NO_IMAGE`` here.
-        yaw_increment_rad: of the car since the previous image, anticlockwise positive; NaN unless TRACKING.
+        yaw_increment_rad: of the car since the previous image, anticlockwise positive, and what this image corrects of
+            earlier increments: they add up to the best heading; NaN unless TRACKING.
         yaw_std_rad: standard deviation of that increment; NaN unless TRACKING.
         matches: features matched with the previous image.
         inliers: matches that agree with the motion.

@@ -1,10 +1,8 @@
 """Motion of the car between two images of one camera, from matched points, known distance, mounting and lever arm.
 
-Model. Ego axes x forward, y left, z up at the rear axle; a point seen at h2 = (x, y, 1) on the second image plane with
-inverse depth rho is seen on the first one along M h2 + rho C^T t, with M = C^T R C, C the rotation ego from camera,
-R = R_z(yaw) R_y(pitch) R_x(roll) the rotation first from second ego frame, and t the displacement of the camera,
-
-    t = arc(yaw, distance) + (R_z(yaw) - I) lever + (0, slip, heave).
+Model (kinematics.py). A point seen at h2 = (x, y, 1) on the second image plane with inverse depth rho is seen on the
+first one along M h2 + rho C^T t, with M = C^T R C, C the rotation ego from camera, R the rotation first from second ego
+frame and t the displacement of the camera, both of yaw, tilt, slip, heave and the known distance and lever arm.
 
 The two-dimensional transfer error of a match is split along and across its epipolar direction w = d(image 1)/d(rho).
 Across, the error is position noise. Along, it is noise plus the unknown depth, rho ~ N(mean, spread^2): worthless when
@@ -25,6 +23,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from mixo_env.experts.monocular.kinematics import camera_displacement, never_zero, tilted_rotation
+
 FloatArray = NDArray[np.float64]
 
 _MEAN_INVERSE_DEPTH = 0.06  # [1/m] street scenes: ground and fronts at 5 to 50 m
@@ -36,7 +36,6 @@ _DIP_M = 0.3  # ... and by this: nothing is seen below that
 _SLIP_FLOOR_M = 0.004
 _OPTIMISM = 1.4  # real errors over those of independent noise: neighbouring matches err together (simulated drives)
 _SEVERITY = 0.6  # of the redescending weights: matches of movers and along weak edges err little but all the same way
-_STILL_M = 1e-4  # stands for zero distance, keeps epipolar directions defined; below 0.1 px everywhere
 
 
 @dataclass(frozen=True)
@@ -66,7 +65,7 @@ class MotionPrior:
 
     def offset(self) -> tuple[FloatArray, FloatArray]:
         """Mean [m] and standard deviation [m] of slip and heave, ``(2,)`` each, over this distance."""
-        s = _moving(self.distance_m)
+        s = never_zero(self.distance_m)
         std = [math.hypot(share * s, _SLIP_FLOOR_M) for share in (self.slip_std, self.heave_std)]
         return np.array([self.slip_mean, self.heave_mean]) * s, np.array(std)
 
@@ -95,45 +94,6 @@ class Motion:
     heave_std_m: float
     inlier: NDArray[np.bool_]
     residual: float
-
-
-@njit(cache=True)
-def camera_displacement(yaw: float, distance: float, lever_x: float, lever_y: float) -> tuple[float, float]:
-    """Displacement x, y [m] of a camera at the lever arm while the rear axle follows an arc, in first ego axes."""
-    half = 0.5 * yaw
-    chord = distance * (1.0 - half * half / 6.0) if abs(half) < 1e-4 else distance * math.sin(half) / half
-    c, s = math.cos(yaw), math.sin(yaw)
-    x = chord * math.cos(half) + (c - 1.0) * lever_x - s * lever_y
-    y = chord * math.sin(half) + s * lever_x + (c - 1.0) * lever_y
-    return x, y
-
-
-@njit(cache=True)
-def _rotation(yaw: float, pitch: float, roll: float) -> FloatArray:
-    """R_z(yaw) R_y(pitch) R_x(roll)."""
-    cz, sz, cy, sy, cx, sx = (
-        math.cos(yaw),
-        math.sin(yaw),
-        math.cos(pitch),
-        math.sin(pitch),
-        math.cos(roll),
-        math.sin(roll),
-    )
-    return np.array(
-        [
-            [cz * cy, cz * sy * sx - sz * cx, cz * sy * cx + sz * sx],
-            [sz * cy, sz * sy * sx + cz * cx, sz * sy * cx - cz * sx],
-            [-sy, cy * sx, cy * cx],
-        ]
-    )
-
-
-@njit(cache=True)
-def _moving(distance: float) -> float:
-    """Distance, never exactly zero."""
-    if abs(distance) < _STILL_M:
-        return -_STILL_M if distance < 0.0 else _STILL_M
-    return distance
 
 
 @njit(cache=True)
@@ -177,7 +137,7 @@ def vote_yaw(
     half = math.ceil(max_yaw / step)
     count = 2 * half + 1
     scores = np.zeros(count)
-    s = _moving(distance)
+    s = never_zero(distance)
     c_t = np.ascontiguousarray(rotation.T)
     inverse = 1.0 / (2.0 * tolerance * tolerance)
     least = np.empty(len(second))
@@ -186,7 +146,7 @@ def vote_yaw(
     for b in range(count):
         yaw = (b - half) * step
         tx, ty = camera_displacement(yaw, s, position[0], position[1])
-        m = c_t @ _rotation(yaw, 0.0, 0.0) @ rotation
+        m = c_t @ tilted_rotation(yaw, 0.0, 0.0) @ rotation
         t0, t1, t2 = c_t @ np.array([tx, ty, 0.0])
         score = 0.0
         for i in range(first.shape[0]):
@@ -250,7 +210,7 @@ def refine_motion(
         road).
     """
     n = first.shape[0]
-    s = _moving(distance)
+    s = never_zero(distance)
     c_t = np.ascontiguousarray(rotation.T)
     x = np.array([yaw, 0.0, 0.0, 0.0, 0.0, _MEAN_INVERSE_DEPTH])
     least = np.empty(n)
@@ -269,11 +229,11 @@ def refine_motion(
         last = it == iterations
         tx, ty = camera_displacement(x[0], s, position[0], position[1])
         qx, qy = camera_displacement(x[0] + eps, s, position[0], position[1])
-        r0 = _rotation(x[0], x[1], x[2])
+        r0 = tilted_rotation(x[0], x[1], x[2])
         m = c_t @ r0 @ rotation
-        d_yaw = c_t @ ((_rotation(x[0] + eps, x[1], x[2]) - r0) / eps) @ rotation
-        d_pitch = c_t @ ((_rotation(x[0], x[1] + eps, x[2]) - r0) / eps) @ rotation
-        d_roll = c_t @ ((_rotation(x[0], x[1], x[2] + eps) - r0) / eps) @ rotation
+        d_yaw = c_t @ ((tilted_rotation(x[0] + eps, x[1], x[2]) - r0) / eps) @ rotation
+        d_pitch = c_t @ ((tilted_rotation(x[0], x[1] + eps, x[2]) - r0) / eps) @ rotation
+        d_roll = c_t @ ((tilted_rotation(x[0], x[1], x[2] + eps) - r0) / eps) @ rotation
         tc = c_t @ np.array([tx, ty + x[3], x[4]])
         tc_yaw = c_t @ np.array([(qx - tx) / eps, (qy - ty) / eps, 0.0])
         if not last:

@@ -9,9 +9,11 @@ from numpy.typing import NDArray
 
 from mixo_env.errors import DatasetError
 from mixo_env.experts.expert import CameraStep, State
+from mixo_env.experts.monocular.bundle import turn_change
 from mixo_env.experts.monocular.camera import MountedCamera, mount
 from mixo_env.experts.monocular.config import MonocularConfig
 from mixo_env.experts.monocular.course import Course
+from mixo_env.experts.monocular.heading import Heading
 from mixo_env.experts.monocular.motion import Motion, estimate_motion
 from mixo_env.experts.monocular.pair import Frame, Pair, PairSolver
 from mixo_env.experts.monocular.turn import Turn
@@ -36,6 +38,9 @@ class MonocularOdometry:
       car can make after the last one (a vehicle that drives past fills the view), an image equal to the last one
       although the car moved, a gap in time too long. The next good pair starts INITIALISING again.
 
+    Increments add up to the best heading known: what an image tells about earlier ones that were reported is part of
+    its increment. The stateless increment of its pair alone is given too.
+
     The row "w/o inertial initialization" of the paper is a matter of replay: zero yaw and distance in every step until
     the first TRACKING of a scene. Instant re-initialisation is ``initial_pairs=1, initial_distance_m=0.0``.
 
@@ -56,6 +61,8 @@ class MonocularOdometry:
         self._course = Course(self.config.slip_std, self.config.course_spread)
         self._turn = Turn(self.config.yaw_acceleration_radps2)
         self._previous: Frame | None = None
+        self._heading = Heading(self.config.yaw_acceleration_radps2)
+        self._solved: tuple[Pair, Motion] | None = None
         self._last_timestamp_us: int | None = None
         self._last_image: NDArray[np.uint8] | None = None
         self._state = State.INITIALISING
@@ -109,17 +116,19 @@ class MonocularOdometry:
 
     def _close(self, pair: Pair | None, gap_s: float, distance_m: float) -> CameraStep:
         """Advance the state by one image and report."""
-        config = self.config
+        config, last = self.config, self._solved
+        self._solved = None
         found = None if pair is None else pair.motion
         share = 0.0 if found is None else float(np.mean(found.inlier))
         inliers = 0 if pair is None else round(share * pair.matches)
         sure = found is not None and inliers >= config.min_inliers and found.yaw_std_rad <= config.max_yaw_std_rad
         motion = found if sure else None
-        refined = self._refined(pair, motion, gap_s) if pair is not None and motion is not None else None
-        if refined is None:
+        solved = self._refined(pair, motion, gap_s, last) if pair is not None and motion is not None else None
+        if solved is None:
             first_image = pair is None and self._state is State.INITIALISING and self._good_pairs == 0
             self._state = State.INITIALISING if first_image else State.LOST
             self._good_pairs, self._good_distance_m = 0, 0.0
+            self._heading.forget()
         elif self._state is not State.TRACKING:
             self._state = State.INITIALISING
             if pair is not None and pair.matches >= config.initial_matches:
@@ -131,11 +140,14 @@ class MonocularOdometry:
             if moved or self._good_pairs >= config.initial_patience_pairs:
                 self._state = State.TRACKING
         tracking = self._state is State.TRACKING
+        yaw_rad, yaw_std_rad = math.nan, math.nan
+        if solved is not None:
+            yaw_rad, yaw_std_rad = self._heading.report(*solved, gap_s, tracking=tracking)
         focal = float(np.mean(self.camera.focal_px))
         return CameraStep(
             state=self._state,
-            yaw_increment_rad=refined.yaw_rad if refined and tracking else math.nan,
-            yaw_std_rad=refined.yaw_std_rad if refined and tracking else math.nan,
+            yaw_increment_rad=yaw_rad if tracking else math.nan,
+            yaw_std_rad=yaw_std_rad if tracking else math.nan,
             matches=0 if pair is None else pair.matches,
             inliers=inliers,
             residual_px=math.nan if found is None else found.residual * focal,
@@ -143,8 +155,12 @@ class MonocularOdometry:
             two_frame_yaw_increment_rad=math.nan if motion is None else motion.yaw_rad,
         )
 
-    def _refined(self, pair: Pair, motion: Motion, gap_s: float) -> Motion | None:
+    def _refined(
+        self, pair: Pair, motion: Motion, gap_s: float, last: tuple[Pair, Motion] | None
+    ) -> tuple[Motion, tuple[float, float] | None] | None:
         """The motion of a pair, given what earlier pairs have shown of course and turn; both learn from it.
+
+        With it comes the change of the yaw increment since the last pair, where three images show it.
 
         ``None`` when the car cannot have turned so: whatever fills the view moves itself.
         """
@@ -162,4 +178,5 @@ class MonocularOdometry:
         if abs(solved.yaw_rad - prior.yaw_mean_rad) > _AGREE_STD * prior.yaw_std_rad:
             return None
         self._turn.learn(solved, now_us, gap_s)
-        return solved
+        self._solved = pair, solved
+        return solved, None if last is None else turn_change(*last, pair, motion, prior, camera)

@@ -43,6 +43,7 @@ class Pair:
         matches: number of matched features.
         flow_px: their median displacement [px of the full image]; NaN without matches.
         first, second: ``(k, 2)`` aligned matches on the image planes, at most ``solver_matches``.
+        corner: ``(k, 2)`` int, which corner of the first and of the second image each of them is.
         prior: what was known before.
         motion: ``None`` when none was found.
     """
@@ -51,6 +52,7 @@ class Pair:
     flow_px: float
     first: NDArray[np.float64]
     second: NDArray[np.float64]
+    corner: NDArray[np.integer]
     prior: MotionPrior
     motion: Motion | None
 
@@ -103,10 +105,12 @@ class PairSolver:
         )
         p1, p2 = first.features.position_px[i], second.features.position_px[j]
         flow = float(np.median(np.hypot(*(p2 - p1).T))) * 2**camera.halvings if len(i) else math.nan
+        corner = np.stack([i, j], axis=1)
         if len(i) < config.min_matches:
-            return Pair(len(i), flow, camera.plane(p1), camera.plane(p2), prior, None)
+            return Pair(len(i), flow, camera.plane(p1), camera.plane(p2), corner, prior, None)
         picked = np.arange(0, len(i), -(-len(i) // config.solver_matches))
-        p1, p2 = p1[picked], p2[picked]
+        p1, p2, corner = p1[picked], p2[picked], corner[picked]
         p2, aligned = align_matches(first.image, second.image, p1, p2)
         f1, f2 = camera.plane(p1[aligned]), camera.plane(p2[aligned])
-        return Pair(len(i), flow, f1, f2, prior, estimate_motion(f1, f2, camera.rotation, camera.position_m, prior))
+        motion = estimate_motion(f1, f2, camera.rotation, camera.position_m, prior)
+        return Pair(len(i), flow, f1, f2, corner[aligned], prior, motion)
