@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import os
 from pathlib import Path
@@ -30,6 +31,7 @@ from experiments.data_sheet.outcomes import (
     moving_steps,
     own_time_errors,
     turning_steps,
+    yaw_errors,
 )
 from experiments.data_sheet.sensors import production_gyro_statistics, sensor_statistics
 from mixo_env.errors import ConfigurationError, DatasetError
@@ -282,6 +284,31 @@ def test_steps_and_errors_of_a_recording():
     assert instant.mean >= lost.mean
     with pytest.raises(ConfigurationError, match="camera"):
         camera_lost_tracks(recordings, "INERTIAL")
+
+
+def test_yaw_errors_add_up_scene_by_scene():
+    recordings = synthetic_recordings(0, steps=60)
+    camera, other = recordings.manifest.cameras[:2]
+    one, two, both = (yaw_errors(recordings, group) for group in ((camera,), (other,), (camera, other)))
+    sums, squares, windows = [], 0.0, 0
+    for begin, end in itertools.pairwise(recordings.offsets):
+        total, seen = 0.0, 0
+        for row in range(begin, end):
+            error = np.degrees(
+                float(recordings[f"{camera}.own_window_yaw_increment_rad"][row])
+                - recordings[f"{camera}.own_window_truth_yaw_increment_rad"][row]
+            )
+            if np.isfinite(error):
+                total, seen, squares = total + error, seen + 1, squares + error**2
+        if seen:
+            sums.append(abs(total))
+        windows += seen
+    assert one.accumulated_deg == pytest.approx(sums)
+    assert one.rms_deg == pytest.approx(np.sqrt(squares / windows))
+    assert both.accumulated_deg == pytest.approx(np.concatenate([one.accumulated_deg, two.accumulated_deg]))
+    assert min(one.rms_deg, two.rms_deg) < both.rms_deg < max(one.rms_deg, two.rms_deg)
+    assert min(one.gain, two.gain) <= both.gain <= max(one.gain, two.gain)
+    assert one.gain == pytest.approx(1.0, abs=0.05)
 
 
 # --- pictures

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -79,6 +80,44 @@ def own_time_errors(recordings: Recordings) -> FloatArray:
         for camera in recordings.manifest.cameras
     ]
     return np.abs(np.stack(errors, axis=1))
+
+
+@dataclass(frozen=True)
+class YawErrors:
+    """Yaw increments of cameras over their own image windows, against the poses at their own times.
+
+    Attributes:
+        median_deg: of the absolute errors.
+        rms_deg: of the errors.
+        gain: slope against the truth where it turns by 5 deg/s and more; NaN without such windows.
+        accumulated_deg: size of the summed error of every scene and camera with an increment.
+    """
+
+    median_deg: float
+    rms_deg: float
+    gain: float
+    accumulated_deg: FloatArray
+
+
+def yaw_errors(recordings: Recordings, cameras: Sequence[str]) -> YawErrors:
+    """Of all windows of some cameras, together."""
+    scene = np.repeat(np.arange(len(recordings)), np.diff(recordings.offsets))
+    errors, turns, sums = [], [], []
+    for camera in cameras:
+        yaw, truth, lasted = (
+            recordings[f"{camera}.own_window_{name}"].astype(np.float64)
+            for name in ("yaw_increment_rad", "truth_yaw_increment_rad", "s")
+        )
+        error = np.degrees(yaw - truth)
+        good = np.isfinite(error)
+        turning = good & (np.abs(truth) > TURNING_RADPS * lasted)
+        errors.append(error[good])
+        turns.append(np.stack([yaw[turning], truth[turning]]))
+        sums.append([abs(error[good & (scene == k)].sum()) for k in np.unique(scene[good])])
+    error, (yaw, truth) = np.concatenate(errors), np.concatenate(turns, axis=1)
+    gain = float(yaw @ truth / (truth @ truth)) if len(truth) else np.nan
+    median, rms = (float(np.median(np.abs(error))), float(np.sqrt(np.mean(error**2)))) if len(error) else (np.nan,) * 2
+    return YawErrors(median, rms, gain, np.concatenate(sums))
 
 
 def exact_step_errors(recordings: Recordings) -> FloatArray:

@@ -22,6 +22,7 @@ from experiments.data_sheet.outcomes import (
     own_time_errors,
     tracking_share,
     turning_steps,
+    yaw_errors,
 )
 from experiments.data_sheet.shares_section import shares_section
 from experiments.tables import Column, Table
@@ -213,6 +214,8 @@ def _outcomes(recordings: Recordings, measured: Stored) -> str:
             prose.LOST,
             table(["camera", "paper", "here", "here, instant re-initialisation", "tracking [%]"], lost_rows),
             _lost_in_all(inside),
+            prose.YAW,
+            _yaw(inside),
             prose.BEST,
             _best(inside),
             prose.BY_SITUATION,
@@ -232,6 +235,28 @@ def _lost_in_all(recordings: Recordings) -> str:
         f"All {len(cameras)} cameras together lose {here:.2f} tracks per scene here and {paper:.2f} in the paper: this "
         f"city, seen by these experts, is {easier} hard on single cameras than nuScenes was on the paper's."
     )
+
+
+def _yaw(recordings: Recordings) -> str:
+    cameras = recordings.manifest.cameras
+    groups: dict[str, tuple[str, ...]] = {camera: (camera,) for camera in cameras}
+    groups["both side cameras"] = tuple(camera for camera in cameras if camera.endswith(("_LEFT", "_RIGHT")))
+    rows = []
+    for name, group in groups.items():
+        errors = yaw_errors(recordings, group)
+        rows.append(
+            [
+                name,
+                f"{100 * np.mean([tracking_share(recordings, camera) for camera in group]):.1f}",
+                number(errors.median_deg, 4),
+                number(errors.rms_deg, 4),
+                number(errors.gain, 4),
+                *(number(float(np.quantile(errors.accumulated_deg, q)), 2) for q in (0.5, 0.9)),
+                str(len(errors.accumulated_deg)),
+            ]
+        )
+    headings = ["camera", "tracking [%]", "median [deg]", "RMS [deg]", "gain in turns"]
+    return table([*headings, "accumulated [deg]", "90 %", "camera-scenes"], rows)
 
 
 def _best(recordings: Recordings) -> str:

@@ -105,6 +105,12 @@ LOST = """### Lost tracks
 Per scene, mean ± standard deviation over scenes. A camera that has lost track must initialise before it can be lost
 again; with instant re-initialisation every failure counts (see [metrics](metrics.md#lost-tracks))."""
 
+YAW = """### Yaw increments
+
+Over each camera's own image windows while it tracks, against the poses at these times: absolute error (median), error
+(RMS), slope against the truth in turns above 5 deg/s, and the size of the error that adds up over a scene of 20 s,
+median and 90 % quantile over scenes (and cameras, in the last line). Errors of the written poses are part of it."""
+
 BEST = """### Which camera is locally best
 
 Eq. 2 of the paper: the camera whose yaw increment is nearest the truth, at each camera's own times against the
