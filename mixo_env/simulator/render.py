@@ -93,8 +93,7 @@ class Renderer:
         self._daylight = world.sunlight, even_cells(world.sunlight), world.shadow_height
         grain = world.detail, world.detail_start
         sky, ground = quads(world.sky).ravel(), world.ground_texels_per_m
-        fineness = self.weather.taps, self.weather.grain_levels, self.weather.span_error_px
-        self._textures = world.texels, world.table, *grain, sky, ground, fineness
+        self._textures = world.texels, world.table, *grain, sky, ground, self.weather.grain_levels
         self._no_lamps = np.zeros((1, 1), np.float32), np.zeros(2)
         w, unit = self.weather, RADIANCE_UNIT
         self._light = np.array(

@@ -30,6 +30,9 @@ from mixo_env.simulator.textures import DETAIL_SIDE
 SPAN = 32
 """Longest run of pixels that shares one reduction of the texture."""
 
+MOST_TAPS = 3
+"""Samples along the long axis of a pixel's footprint on a slanted surface."""
+
 RADIANCE_TOP = (1 << 18) - 1
 """Largest radiance of a pixel: eight of them fit into a field of 21 bits."""
 
@@ -166,7 +169,7 @@ def _shade_run(row, begin, stop, k, seen, camera, light, textures, daylight, nig
     reds, greens, scratch, noise, where = memory
     _, plane, style, mark, _ = seen
     rotation, position, lens, far = camera
-    texels, table, detail, detail_start, _, ground_scale, (most_taps, grain_levels, span_error) = textures
+    texels, table, detail, detail_start, _, ground_scale, grain_levels = textures
     sunlight, sun_cells, field = daylight
     lamps, lamp_origin, beam = night
     fx, fy, cx, cy = lens[0], lens[1], lens[2], lens[3]
@@ -203,7 +206,7 @@ def _shade_run(row, begin, stop, k, seen, camera, light, textures, daylight, nig
     mz0 = m[7] * dy + m[8] - m[6] * cx / fx + m[11] * w0
     mx1, my1, mz1 = m[0] / fx + m[9] * w1, m[3] / fx + m[10] * w1, m[6] / fx + m[11] * w1
     # Linear interpolation over n pixels errs by n^2 / 4 |w1 / w| pixels.
-    bend = 4.0 * span_error / (abs(w1) + 1e-12)
+    bend = 0.6 / (abs(w1) + 1e-12)
     sun_at_end, x = 0.0, begin
     while x < stop:
         w = w0 + w1 * x
@@ -230,7 +233,7 @@ def _shade_run(row, begin, stop, k, seen, camera, light, textures, daylight, nig
             wide, thin, ju, jv = along, across, uy, vy
         taps = 1
         if wide > 1.41:
-            taps = max(1, min(most_taps, int(wide / max(thin, 0.7) + 0.5)))
+            taps = max(1, min(MOST_TAPS, int(wide / max(thin, 0.7) + 0.5)))
         share = _INVERSE[taps]
         rung = level(wide * share)
         reduce = _POWER[rung] * _ONE
@@ -335,7 +338,7 @@ def shade(seen, camera, light, textures, daylight, night, motion, out, flow):
         light: ``(15,)`` ambient, sun, haze per metre, haze colour (3), zenith colour (3), clouds, lamps, wetness,
             colour (3); radiance in units of the integer result.
         textures: texels and table of the atlas, fine grain and the first entry of each of its reductions, the
-            sky, the texels per metre of the ground, and ``(taps, grain_levels, span_error_px)`` of the weather.
+            sky, the texels per metre of the ground, and the ``grain_levels`` of the weather.
         daylight: picture of the sunlight on the ground, its ``even_cells``, and the height of the houses' shadow.
         night: light of lamps on the ground (one value a metre, a power of two wide), map position of its corner, and
             ``(8,)`` rows x and y of ego from camera with their translation, for the car's own head lights.

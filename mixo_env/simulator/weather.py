@@ -23,9 +23,7 @@ class Weather:
         haze: radiance of the air, also of the sky at the horizon.
         zenith: radiance of the sky overhead.
         sight_m: everything farther away is lost in the haze.
-        taps: most samples of a texture along a slanted pixel's footprint; fewer draw far ground softer.
         grain_levels: reductions of the fine grain that are drawn; the grain of what is farther is lost in the air.
-        span_error_px: how far from its place a texture may be drawn where perspective is taken as linear.
         clouds: contrast of the clouds.
         lamps: strength of street lamps, shop windows and vehicle lights.
         wetness: 0 dry to 1 wet: the road darkens and mirrors, vehicles throw up spray.
@@ -44,9 +42,7 @@ class Weather:
     haze: Rgb
     zenith: Rgb
     sight_m: float
-    taps: int
     grain_levels: int
-    span_error_px: float
     clouds: float
     lamps: float
     wetness: float
@@ -67,9 +63,7 @@ _ALL = (
         haze=(0.92, 0.98, 1.04),
         zenith=(0.36, 0.56, 0.96),
         sight_m=240.0,
-        taps=3,
         grain_levels=5,
-        span_error_px=0.15,
         clouds=0.55,
         lamps=0.0,
         wetness=0.0,
@@ -87,10 +81,8 @@ _ALL = (
         haze_per_m=0.0045,
         haze=(0.58, 0.60, 0.63),
         zenith=(0.50, 0.53, 0.58),
-        sight_m=120.0,
-        taps=2,
+        sight_m=180.0,
         grain_levels=2,
-        span_error_px=0.3,
         clouds=0.25,
         lamps=0.10,
         wetness=1.0,
@@ -109,9 +101,7 @@ _ALL = (
         haze=(0.010, 0.009, 0.009),
         zenith=(0.003, 0.004, 0.007),
         sight_m=240.0,
-        taps=3,
         grain_levels=5,
-        span_error_px=0.15,
         clouds=0.4,
         lamps=1.0,
         wetness=0.0,
