@@ -42,8 +42,8 @@ def _mix_row(road, mirrored, shares):
 def _take(here, k, seen, above, owner, share, mirrored, shares):
     """Note what those pixels that show the patch ``k`` mirror, and how much of it.
 
-    A smear upwards (``above``) stands for the ripples. Where the mirrored ray passed below something, nothing in the
-    picture shows its underside: the road stays.
+    A smear upwards (``above``) stands for the ripples. Where the mirrored ray meets the same patch again, the road
+    stays; so does other ground in the stretch, for which no search was made.
     """
     for i in range(_RUN):
         mirrored[i] = (seen[i] >> 1 & _HALVES) + (above[i] >> 1 & _HALVES)

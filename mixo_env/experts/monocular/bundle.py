@@ -28,11 +28,11 @@ from mixo_env.experts.monocular.pair import Pair
 FloatArray = NDArray[np.float64]
 
 _SHORTEST_M = 0.1  # a standing camera gives points no depth (and its turn is seen well by two images)
-_LEAST_TRACKS = 12
+_LEAST_TRACKS = 12  # six unknowns, five of them with priors; few points give a large standard deviation
 _PACE = 0.01  # distances of two pairs relative to each other: exposure times and wheel speeds are not exact
-_FARTHEST_STD = 4.0
+_FARTHEST_STD = 4.0  # from the expected yaw: the points are those of a vehicle
 _MIN_INVERSE_DEPTH, _MAX_INVERSE_DEPTH = -0.03, 0.7  # [1/m] far points may seem a little behind infinity
-_SEVERITY = 0.6
+_SEVERITY = 0.6  # of the redescending weights, as in motion.py
 _ITERATIONS = 6
 _UNKNOWNS = ("yaw_rad", "pitch_rad", "roll_rad", "slip_m", "heave_m")
 

@@ -160,9 +160,8 @@ class MonocularOdometry:
     ) -> tuple[Motion, tuple[float, float] | None] | None:
         """The motion of a pair, given what earlier pairs have shown of course and turn; both learn from it.
 
-        With it comes the change of the yaw increment since the last pair, where three images show it.
-
-        ``None`` when the car cannot have turned so: whatever fills the view moves itself.
+        With it comes what :func:`turn_change` says about the last pair and this one. ``None`` when the car cannot have
+        turned so: whatever fills the view moves itself.
         """
         assert self._last_timestamp_us is not None
         now_us, camera = self._last_timestamp_us, self.camera
