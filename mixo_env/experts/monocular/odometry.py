@@ -35,8 +35,15 @@ class MonocularOdometry:
       parallax, so ``initial_patience_pairs`` good pairs are enough without it. The pair that ends it is TRACKING.
     * TRACKING while pairs stay good: the only state with an increment.
     * LOST on the first pair that is not good: fewer than ``min_matches`` matches, no trustworthy motion, a turn that no
-      car can make after the last one (a vehicle that drives past fills the view), an image equal to the last one
-      although the car moved, a gap in time too long. The next good pair starts INITIALISING again.
+      car can make after the last one (a vehicle that drives past fills the view), a lasting contradiction to the
+      expected turn, an image equal to the last one although the car moved, a gap in time too long. The next good pair
+      starts INITIALISING again.
+
+    A turn is expected from the last good pair. One pair alone that is more than four standard deviations (of both
+    together) from it is most likely ruled by a vehicle; it is solved again about the expectation, and TRACKING goes on.
+    But solving so confirms whatever is expected if only a vehicle moves along with it, and would for ever. Therefore
+    the second such pair in a row, or any while there is no track, is not good: nobody can tell which of both is wrong.
+    Nothing is learnt from it, so the expectation widens with its age until the pairs alone agree with it again.
 
     Increments add up to the best heading known: what an image tells about earlier ones that were reported is part of
     its increment. The stateless increment of its pair alone is given too.
@@ -63,6 +70,7 @@ class MonocularOdometry:
         self._previous: Frame | None = None
         self._heading = Heading(self.config.yaw_acceleration_radps2)
         self._solved: tuple[Pair, Motion] | None = None
+        self._contradicted = False
         self._last_timestamp_us: int | None = None
         self._last_image: NDArray[np.uint8] | None = None
         self._state = State.INITIALISING
@@ -161,14 +169,17 @@ class MonocularOdometry:
         """The motion of a pair, given what earlier pairs have shown of course and turn; both learn from it.
 
         With it comes what :func:`turn_change` says about the last pair and this one. ``None`` when the car cannot have
-        turned so: whatever fills the view moves itself.
+        turned so: whatever fills the view moves itself, or did when the expectation was learnt.
         """
         assert self._last_timestamp_us is not None
         now_us, camera = self._last_timestamp_us, self.camera
         sideways_mps2 = pair.prior.distance_m * motion.yaw_rad / gap_s**2
         prior = self._turn.expect(self._course.expect(pair.prior, sideways_mps2), now_us, gap_s)
         tolerance = _AGREE_STD * math.hypot(prior.yaw_std_rad, motion.yaw_std_rad)
-        start = motion.yaw_rad if abs(motion.yaw_rad - prior.yaw_mean_rad) < tolerance else prior.yaw_mean_rad
+        again, self._contradicted = self._contradicted, abs(motion.yaw_rad - prior.yaw_mean_rad) >= tolerance
+        if self._contradicted and (again or self._state is not State.TRACKING):
+            return None
+        start = prior.yaw_mean_rad if self._contradicted else motion.yaw_rad
         solved = estimate_motion(pair.first, pair.second, camera.rotation, camera.position_m, prior, start)
         if solved is None or np.count_nonzero(solved.inlier) < _LEAST_SUPPORT * np.count_nonzero(motion.inlier):
             solved = motion
