@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 VERSION = "v1.0-mixo"
 """Name of the table folder."""
 
-FORMAT = 3
+FORMAT = 4
 """Raised whenever equal configurations no longer give equal files."""
 
 JPEG_QUALITY = 80

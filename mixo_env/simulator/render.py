@@ -13,7 +13,8 @@ from mixo_env.errors import ConfigurationError
 from mixo_env.nuscenes.scene import CameraCalibration
 from mixo_env.simulator.fleet import Fleet, body_motions
 from mixo_env.simulator.lamps import add_glare, light_window
-from mixo_env.simulator.rain import add_spray, mirror_road, spray_puffs
+from mixo_env.simulator.mirror import mirror_road
+from mixo_env.simulator.rain import add_spray, spray_puffs
 from mixo_env.simulator.rasterizer import DepthBuffers
 from mixo_env.simulator.sampling import even_cells
 from mixo_env.simulator.sensor import NOISE_SIDE, expose, mean_radiance
@@ -68,8 +69,8 @@ def _middle(start: CameraPose, end: CameraPose) -> CameraPose:
     return CameraPose(start.rotation_map_from_camera @ half, 0.5 * (start.position_m + end.position_m))
 
 
-_Memory = tuple[DepthBuffers, NDArray[np.int64], NDArray[np.float32], NDArray[np.float32]]
-"""Depth buffers, radiance, motion and vignette of one picture size."""
+_Memory = tuple[DepthBuffers, NDArray[np.int64], NDArray[np.int64], NDArray[np.float32], NDArray[np.float32]]
+"""Depth buffers, radiance, mirror images, motion and vignette of one picture size."""
 
 
 class Renderer:
@@ -139,7 +140,7 @@ class Renderer:
 
         sight = self.weather.sight_m
         near = [v for v in vehicles if np.hypot(v.x_m - position[0], v.y_m - position[1]) < sight]
-        buffers, radiance, flow, vignette = self._memory(height, width)
+        buffers, radiance, images, flow, vignette = self._memory(height, width)
         patches = (self._fleet.placed(near), world.static)
         buffers.draw_patches(patches, rotation, position, lens, sight, world.texels, world.table)
         lamps, lamp_origin = self._no_lamps
@@ -158,22 +159,11 @@ class Renderer:
             flow,
         )
         if self.weather.wetness > 0.0:
-            air = self._air
-            mirror_road(
-                radiance,
-                buffers.owner,
-                buffers.depth,
-                buffers.plane,
-                buffers.mark,
-                rotation,
-                position,
-                lens,
-                world.sky,
-                air,
-                self.weather.wetness,
-            )
-            puffs = spray_puffs(near, rotation, position, self.weather.wetness)
-            add_spray(radiance, buffers.depth, puffs, lens, world.sky, air)
+            wetness = self.weather.wetness
+            seen = buffers.owner, buffers.depth, buffers.plane, buffers.mark
+            mirror_road(radiance, *seen, rotation, position, lens, world.sky, wetness, images)
+            puffs = spray_puffs(near, rotation, position, wetness)
+            add_spray(radiance, buffers.depth, puffs, lens, world.sky, self._air)
         mean = mean_radiance(radiance) / RADIANCE_UNIT
         wanted = min(self.weather.exposure_target / max(mean, 1e-6), self.weather.largest_gain)
         used = wanted if gain is None else gain
@@ -196,12 +186,13 @@ class Renderer:
             squared = ((x - 0.5 * width) ** 2 + (y - 0.5 * height) ** 2) / (0.5 * width) ** 2
             # One block, so that the operating system can back all of it with large pages.
             size = height * width
-            block = np.empty(7 * size, np.float32)
+            block = np.empty(9 * size + 3, np.float32)
             radiance = block[: 2 * size].view(np.int64).reshape(height, width)
-            planes = block[2 * size :].reshape(5, height, width)
+            planes = block[2 * size : 7 * size].reshape(5, height, width)
+            images = block[7 * size + size % 2 :][: 2 * size + 2].view(np.int64)
             planes[4] = (1.0 + 0.22 * squared) ** -2
             buffers = DepthBuffers(planes[2], planes[3].view(np.int32))
-            self._sizes[height, width] = buffers, radiance, planes[:2], planes[4]
+            self._sizes[height, width] = buffers, radiance, images, planes[:2], planes[4]
         return self._sizes[height, width]
 
     def _motion(self, middle: CameraPose, end: CameraPose, vehicles: Sequence[VehicleState]) -> NDArray[np.float64]:
