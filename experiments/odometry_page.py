@@ -268,8 +268,8 @@ standard deviation is below `max_yaw_std_rad`.
   `initial_patience_pairs`.
 * TRACKING: while pairs stay good; the only state with an increment.
 * LOST: from the first pair that is not good, after a turn that no car can make (a vehicle that drives past fills the
-  view), after a gap longer than `max_gap_s`, or when the image does not change although the car moves. The next good
-  pair is INITIALISING again.
+  view), at the second pair in a row that alone contradicts the expected turn, after a gap longer than `max_gap_s`, or
+  when the image does not change although the car moves. The next good pair is INITIALISING again.
 
 A recording keeps what the expert said; what stands in for a lost camera is decided later, by the environment (its
 option `lost`). The row *w/o inertial initialization* of the paper is zero yaw and distance until the first TRACKING.
