@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from mixo_env.errors import ConfigurationError
 from mixo_env.geometry import rotation_from_yaw
-from mixo_env.simulator.fleet import Fleet, body_motions
+from mixo_env.simulator.fleet import Fleet, body_motions, moving_states
 from mixo_env.simulator.mesh import GROUND, SHADE, placed
 from mixo_env.simulator.render import Renderer
 from mixo_env.simulator.streets import BLOCK_M, HALF_ROAD_M, LANE_M
@@ -180,7 +180,7 @@ def test_sun_shadow_of_a_vehicle_is_its_box_projected(city: World) -> None:
 
 def test_body_motion_is_the_motion_of_the_state() -> None:
     state = VehicleState("suv", 1, 10.0, -4.0, 0.6, 12.0, 0.5)
-    rotations, shifts = body_motions([state], 0.01)
+    rotations, shifts = body_motions(moving_states([state]), 0.01)
     moved = rotations[1] @ (10.0, -4.0, 0.0) + shifts[1]
     assert moved[:2] == pytest.approx([10.0 + 0.12 * np.cos(0.6), -4.0 + 0.12 * np.sin(0.6)])
     assert rotations[1] == pytest.approx(rotation_from_yaw(0.005))

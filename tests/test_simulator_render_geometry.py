@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import dataclasses
 
+import cv2
 import numpy as np
 import pytest
 
 from mixo_env.errors import ConfigurationError
+from mixo_env.simulator.exposure import during_exposure
+from mixo_env.simulator.fleet import body_motions, moving_states
 from mixo_env.simulator.mesh import CUT_OUT, TWO_SIDED, Patch, quad
 from mixo_env.simulator.render import CameraPose, Renderer
 from mixo_env.simulator.textures import rgba
+from mixo_env.simulator.vehicles import VehicleState
 from tests.tiny_world import CHANNELS, FLAT, camera, cast, plain_texture, pose, surface, world_of
 
 WHITE, RED, BLUE = plain_texture(255, 255, 255), plain_texture(255, 0, 0), plain_texture(0, 0, 255)
@@ -188,3 +192,22 @@ def test_picture_wider_than_the_noise_table_is_refused() -> None:
     at = pose(calibration, 0.0, 0.0, 0.0)
     with pytest.raises(ConfigurationError, match="at most 1600 pixels wide, got 2400"):
         picture(world_of([WHITE], [bar(10.0, 0.0, 1.0)]), calibration, at)
+
+
+@pytest.mark.parametrize("turn_rad", [0.0, 1e-9, 0.004, 2.0])
+def test_the_second_half_of_the_exposure_moves_what_stands_and_what_drives(turn_rad: float) -> None:
+    """Against OpenCV's Rodrigues formula and poses multiplied one by one."""
+    rng = np.random.default_rng(3)
+    start = cv2.Rodrigues(rng.normal(size=3))[0]
+    turn = turn_rad * np.array([0.36, -0.48, 0.8])
+    end, half = (start @ cv2.Rodrigues(share * turn)[0] for share in (1.0, 0.5))
+    start_m, end_m = rng.normal(size=(2, 3))
+    vehicle = VehicleState("suv", 1, 10.0, -4.0, 0.6, 12.0, 0.5)
+    states = moving_states([vehicle])
+    rotation, position, motions = during_exposure(start, start_m, end, end_m, states, 0.01)
+    assert rotation == pytest.approx(half.T, abs=1e-12)
+    assert position == pytest.approx(0.5 * (start_m + end_m))
+    for motion, body_turn, body_shift in zip(motions, *body_motions(states, 0.01), strict=True):
+        point = rng.normal(size=3)  # in the camera at the middle
+        moved = body_turn @ (half @ point + position) + body_shift
+        assert motion[:9].reshape(3, 3) @ point + motion[9:] == pytest.approx(end.T @ (moved - end_m), abs=1e-12)

@@ -133,19 +133,28 @@ class Fleet:
         return patches
 
 
-def body_motions(vehicles: Sequence[VehicleState], dt_s: float) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def moving_states(vehicles: Sequence[VehicleState]) -> NDArray[np.float64]:
+    """``(n, 5)`` x and y [m], yaw [rad], speed [m/s] and yaw rate [rad/s], one row a vehicle."""
+    states = [(v.x_m, v.y_m, v.yaw_rad, v.speed_mps, v.yaw_rate_radps) for v in vehicles]
+    return np.array(states, np.float64).reshape(-1, 5)
+
+
+@njit(cache=True, error_model="numpy")
+def body_motions(states, dt_s):
     """Motions of the map frame that carry the rigid bodies ``dt_s`` seconds on: the world, which stands, and vehicles.
+
+    Args:
+        states: of ``moving_states``.
+        dt_s: seconds.
 
     Returns:
         Rotations ``(1 + n, 3, 3)`` and translations ``(1 + n, 3)``.
     """
-    states = [(v.x_m, v.y_m, v.yaw_rad, v.speed_mps, v.yaw_rate_radps) for v in vehicles]
-    x, y, yaw, speed, yaw_rate = np.array(states).reshape(-1, 5).T
     turns, shifts = np.zeros((1 + len(states), 3, 3)), np.zeros((1 + len(states), 3))
-    turns[:, 2, 2] = turns[0, 0, 0] = turns[0, 1, 1] = 1.0
-    travel = (speed * dt_s * (np.cos(yaw), np.sin(yaw), np.zeros_like(yaw))).T
-    c, s = np.cos(yaw_rate * dt_s), np.sin(yaw_rate * dt_s)
-    turns[1:, 0, 0], turns[1:, 0, 1], turns[1:, 1, 0], turns[1:, 1, 1] = c, -s, s, c
-    centre = np.stack([x, y, np.zeros_like(x)], axis=1)
-    shifts[1:] = centre + travel - (turns[1:] @ centre[..., None])[..., 0]
+    turns[0, 0, 0] = turns[0, 1, 1] = turns[0, 2, 2] = 1.0
+    for n, (x, y, yaw, speed, yaw_rate) in enumerate(states, 1):
+        c, s = np.cos(yaw_rate * dt_s), np.sin(yaw_rate * dt_s)
+        turns[n, 0, 0], turns[n, 0, 1], turns[n, 1, 0], turns[n, 1, 1], turns[n, 2, 2] = c, -s, s, c, 1.0
+        shifts[n, 0] = x + speed * dt_s * np.cos(yaw) - (c * x - s * y)
+        shifts[n, 1] = y + speed * dt_s * np.sin(yaw) - (s * x + c * y)
     return turns, shifts

@@ -297,6 +297,53 @@ def _draw(
     return slot
 
 
+@njit(cache=True, error_model="numpy")
+def _draw_sets(sets, rotation, position, lens, far, texels, table, depth, owner, tiles, plane, style, mark):
+    """Draw all that can be seen; see :meth:`DepthBuffers.draw_patches`.
+
+    Returns:
+        0, or the number of slots that are needed where ``plane`` has fewer; then nothing was drawn.
+    """
+    height, width = depth.shape
+    groups = 0
+    for patches in sets:
+        groups += len(patches[0])
+    nearest, number, touched = np.empty(groups), np.empty(groups, np.int64), np.empty((groups, 4), np.int64)
+    order, bounds = np.empty(groups, np.int64), np.zeros(len(sets) + 1, np.int64)
+    slots = 0
+    for n, patches in enumerate(sets):
+        first, group_start = bounds[n], patches[1]
+        found = first + _visible_groups(
+            patches[0], rotation, position, lens, width, height, far, nearest[first:], number[first:], touched[first:]
+        )
+        order[first:found] = first + np.argsort(nearest[first:found], kind="mergesort")
+        for i in range(first, found):
+            slots += group_start[number[i] + 1] - group_start[number[i]]
+        bounds[n + 1] = found
+    if slots > len(plane):
+        return slots
+    depth[:] = 0.0
+    owner[:] = -1
+    begin, slot = bounds[:-1].copy(), 0
+    for shell in range(len(SHELLS_M) + 1):
+        if shell > 0:
+            _farthest(depth, tiles)
+        limit = SHELLS_M[shell] if shell < len(SHELLS_M) else np.inf
+        for n, (_, group_start, geometry, texel, look, tag) in enumerate(sets):
+            end = begin[n]
+            while end < bounds[n + 1] and nearest[order[end]] < limit:
+                end += 1
+            chosen = order[begin[n] : end]
+            begin[n] = end
+            if shell > 0:
+                chosen = _not_hidden(tiles, nearest, touched, chosen)
+            slot = _draw(
+                number[chosen], group_start, geometry, texel, look, tag, rotation, position, lens, far, texels, table,
+                depth, owner, plane, style, mark, slot,
+            )  # fmt: skip
+    return 0
+
+
 class DepthBuffers:
     """What is seen at each pixel of one picture size; filled anew by every :func:`draw_patches`.
 
@@ -345,31 +392,7 @@ class DepthBuffers:
             texels: of the atlas (cut-out patches look at their coverage).
             table: of the atlas.
         """
-        height, width = self.depth.shape
-        self.depth.fill(0.0)
-        self.owner.fill(-1)
-        found = []
-        patches_most = 0
-        for patches in sets:
-            size = len(patches.groups)
-            nearest, number, tiles = np.empty(size), np.empty(size, np.int64), np.empty((size, 4), np.int64)
-            count = _visible_groups(
-                patches.groups, rotation, position_m, lens, width, height, far_m, nearest, number, tiles
-            )
-            found.append((patches, nearest[:count], number[:count], tiles, np.argsort(nearest[:count], kind="stable")))
-            patches_most += int((patches.group_start[number[:count] + 1] - patches.group_start[number[:count]]).sum())
-        if patches_most > len(self.plane):
-            self._resize(2 * patches_most)
-        slot = 0
-        for low, high in zip((-np.inf, *SHELLS_M), (*SHELLS_M, np.inf), strict=True):
-            if low > 0.0:
-                _farthest(self.depth, self._tiles)
-            for patches, nearest, number, tiles, order in found:
-                chosen = order[np.searchsorted(nearest[order], low) : np.searchsorted(nearest[order], high)]
-                if low > 0.0:
-                    chosen = _not_hidden(self._tiles, nearest, tiles, chosen)
-                slot = _draw(
-                    number[chosen], patches.group_start, patches.geometry, patches.texel, patches.look, patches.tag,
-                    rotation, position_m, lens, far_m, texels, table, self.depth, self.owner,
-                    self.plane, self.style, self.mark, slot,
-                )  # fmt: skip
+        arrays = tuple((p.groups, p.group_start, p.geometry, p.texel, p.look, p.tag) for p in sets)
+        view = rotation, position_m, lens, far_m, texels, table, self.depth, self.owner, self._tiles
+        while slots := _draw_sets(arrays, *view, self.plane, self.style, self.mark):
+            self._resize(2 * slots)

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from mixo_env.errors import ConfigurationError
 from mixo_env.nuscenes.scene import CameraCalibration
-from mixo_env.simulator.fleet import Fleet, body_motions
+from mixo_env.simulator.exposure import during_exposure
+from mixo_env.simulator.fleet import Fleet, moving_states
 from mixo_env.simulator.lamps import add_glare, light_window
 from mixo_env.simulator.mirror import mirror_road
 from mixo_env.simulator.rain import add_spray, spray_puffs
@@ -35,6 +36,7 @@ GLARE = 0.12
 """Share of the light above white that lens and air scatter at night."""
 
 _WIDEST_PX = 1600
+_OFFSET_STEP = 2**32 // NOISE_SIDE
 
 
 @dataclass(frozen=True)
@@ -63,12 +65,6 @@ class RenderedImage:
     gain: float
 
 
-def _middle(start: CameraPose, end: CameraPose) -> CameraPose:
-    turn = start.rotation_map_from_camera.T @ end.rotation_map_from_camera
-    half = cv2.Rodrigues(0.5 * cv2.Rodrigues(turn)[0])[0]
-    return CameraPose(start.rotation_map_from_camera @ half, 0.5 * (start.position_m + end.position_m))
-
-
 _Memory = tuple[DepthBuffers, NDArray[np.int64], NDArray[np.int64], NDArray[np.float32], NDArray[np.float32]]
 """Depth buffers, radiance, mirror images, motion and vignette of one picture size."""
 
@@ -95,7 +91,7 @@ class Renderer:
         grain = world.detail, world.detail_start
         sky, ground = quads(world.sky).ravel(), world.ground_texels_per_m
         self._textures = world.texels, world.table, *grain, sky, ground, self.weather.grain_levels
-        self._no_lamps = np.zeros((1, 1), np.float32), np.zeros(2)
+        self._no_lamps = np.zeros((1, 1), np.float32), np.zeros(2), np.zeros(8)
         w, unit = self.weather, RADIANCE_UNIT
         self._light = np.array(
             [
@@ -134,27 +130,32 @@ class Renderer:
         world, height, width = self.world, calibration.height, calibration.width
         k = calibration.intrinsic
         lens = np.array([k[0, 0], k[1, 1], k[0, 2], k[1, 2]])
-        pose = _middle(start, end)
-        rotation = np.ascontiguousarray(pose.rotation_map_from_camera.T)
-        position = np.ascontiguousarray(pose.position_m, np.float64)
-
         sight = self.weather.sight_m
-        near = [v for v in vehicles if np.hypot(v.x_m - position[0], v.y_m - position[1]) < sight]
+        x_m, y_m = (0.5 * (start.position_m + end.position_m)).tolist()[:2]
+        near = [v for v in vehicles if math.hypot(v.x_m - x_m, v.y_m - y_m) < sight]
+        rotation, position, motion = during_exposure(
+            start.rotation_map_from_camera,
+            start.position_m,
+            end.rotation_map_from_camera,
+            end.position_m,
+            moving_states(near),
+            0.5 * self.weather.shutter_s,
+        )
         buffers, radiance, images, flow, vignette = self._memory(height, width)
         patches = (self._fleet.placed(near), world.static)
         buffers.draw_patches(patches, rotation, position, lens, sight, world.texels, world.table)
-        lamps, lamp_origin = self._no_lamps
+        lamps = self._no_lamps
         if self.weather.lamps > self.weather.ambient:
-            lamps, lamp_origin = light_window(world.lamp_light, EXTENT_M, position, near)
-        to_ego = np.column_stack([calibration.rotation_ego_from_camera, calibration.translation_m])
+            to_ego = np.column_stack([calibration.rotation_ego_from_camera, calibration.translation_m])
+            lamps = *light_window(world.lamp_light, EXTENT_M, position, near), to_ego[:2].ravel()
         shade(
             (buffers.owner, buffers.plane, buffers.style, buffers.mark, buffers.depth),
             (rotation, position, lens, sight),
             self._light,
             self._textures,
             self._daylight,
-            (lamps, lamp_origin, to_ego[:2].ravel()),
-            self._motion(pose, end, near),
+            lamps,
+            motion,
             radiance,
             flow,
         )
@@ -170,7 +171,7 @@ class Renderer:
         if self.weather.lamps > self.weather.ambient:
             add_glare(radiance, RADIANCE_UNIT / used, GLARE)
         image = np.empty((height, width, 3), np.uint8)
-        offset = np.random.default_rng(noise_seed).integers(0, NOISE_SIDE, (height, 2))
+        offset = np.random.PCG64(noise_seed).random_raw(height).view(np.uint32).reshape(height, 2) // _OFFSET_STEP
         shot, read = self.weather.shot_noise, self.weather.read_noise
         expose(radiance, flow, vignette, self._noise, offset, used / RADIANCE_UNIT, shot, read, image)
         return RenderedImage(image, used + EXPOSURE_LAG * (wanted - used))
@@ -194,12 +195,3 @@ class Renderer:
             buffers = DepthBuffers(planes[2], planes[3].view(np.int32))
             self._sizes[height, width] = buffers, radiance, images, planes[:2], planes[4]
         return self._sizes[height, width]
-
-    def _motion(self, middle: CameraPose, end: CameraPose, vehicles: Sequence[VehicleState]) -> NDArray[np.float64]:
-        """``(1 + vehicles, 12)`` rigid motions of the second half of the exposure in camera coordinates."""
-        turns, shifts = body_motions(vehicles, 0.5 * self.weather.shutter_s)
-        to_end = end.rotation_map_from_camera.T
-        motion = np.empty((1 + len(vehicles), 12))
-        motion[:, :9] = (to_end @ turns @ middle.rotation_map_from_camera).reshape(-1, 9)
-        motion[:, 9:] = (to_end @ (turns @ middle.position_m + shifts - end.position_m)[..., None])[..., 0]
-        return motion
