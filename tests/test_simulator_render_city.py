@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import pickle
+from collections.abc import Sequence
 from functools import partial
 
 import cv2
@@ -14,7 +15,7 @@ from numpy.typing import NDArray
 from mixo_env.errors import ConfigurationError
 from mixo_env.geometry import rotation_from_yaw
 from mixo_env.simulator.fleet import Fleet, body_motions, moving_states
-from mixo_env.simulator.mesh import GROUND, SHADE, placed
+from mixo_env.simulator.mesh import GROUND, SHADE, PatchSet, placed
 from mixo_env.simulator.render import Renderer
 from mixo_env.simulator.streets import BLOCK_M, HALF_ROAD_M, LANE_M
 from mixo_env.simulator.vehicles import COLOURS, VEHICLE_KINDS, VehicleState
@@ -47,6 +48,10 @@ TRAFFIC = (
     VehicleState("sedan", 3, 36.0, LANE_M, np.pi, 8.0),
     VehicleState("van", 4, 30.0, -LANE_M, 0.1, 9.0, 0.2),
 )
+
+
+def on_the_street(fleet: Fleet, vehicles: Sequence[VehicleState]) -> PatchSet:
+    return fleet.placed(fleet.models(vehicles), moving_states(vehicles))
 
 
 def arrays(world: World) -> dict[str, NDArray]:
@@ -147,7 +152,7 @@ def test_vehicle_models_have_the_stated_size(city: World, kind: str) -> None:
 
 
 def test_fleet_puts_models_where_their_states_say(city: World) -> None:
-    patches = Fleet(city, shadows=False).placed(TRAFFIC)
+    patches = on_the_street(Fleet(city, shadows=False), TRAFFIC)
     for number, state in enumerate(TRAFFIC):
         part = slice(patches.group_start[number], patches.group_start[number + 1])
         mesh = placed(city.vehicles[state.kind, state.colour], state.x_m, state.y_m, state.yaw_rad)
@@ -162,7 +167,7 @@ def test_fleet_puts_models_where_their_states_say(city: World) -> None:
 
 def test_sun_shadow_of_a_vehicle_is_its_box_projected(city: World) -> None:
     state = dataclasses.replace(TRAFFIC[0], yaw_rad=0.7)
-    with_shadow = Fleet(city, shadows=True).placed([state])
+    with_shadow = on_the_street(Fleet(city, shadows=True), [state])
     sweep = with_shadow.geometry[-3:]
     size = VEHICLE_KINDS[state.kind]
     corners = np.array([(x, y) for x in (-0.48, 0.48) for y in (-0.48, 0.48)]) * (size.length_m, size.width_m)

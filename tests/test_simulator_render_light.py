@@ -135,12 +135,15 @@ def test_wet_road_mirrors_what_stands_on_it() -> None:
 def test_spray_hides_part_of_a_wall_behind_a_fast_vehicle() -> None:
     from mixo_env.simulator.rain import add_spray, spray_puffs
 
-    fast = VehicleState("truck", 0, 20.0, 0.0, 0.0, 15.0)
-    looking_along_x = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
-    puffs = spray_puffs([fast], looking_along_x, np.array([0.0, 0.0, 1.5]), 1.0)
+    truck, looking_along_x = (
+        np.array([[8.6, 2.5, 3.5]]),
+        np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]]),
+    )
+    fast, slow = np.array([[20.0, 0.0, 0.0, 15.0, 0.0]]), np.array([[20.0, 0.0, 0.0, 1.0, 0.0]])
+    puffs = spray_puffs(fast, truck, looking_along_x, np.array([0.0, 0.0, 1.5]), 1.0)
     assert (np.diff(puffs[:, 2]) <= 0.0).all()
     assert puffs[:, 2].max() < 20.0
-    assert len(spray_puffs([dataclasses.replace(fast, speed_mps=1.0)], looking_along_x, np.zeros(3), 1.0)) == 0
+    assert len(spray_puffs(slow, truck, looking_along_x, np.zeros(3), 1.0)) == 0
     clouds, lens = np.full((512, 512), 128, np.uint8), np.array([100.0, 100.0, 80.0, 45.0])
     for depth, touched in ((1.0 / 60.0, True), (1.0 / 3.0, False)):  # behind the puffs, before them
         radiance = np.zeros((90, 160), np.int64)

@@ -50,7 +50,7 @@ def _place(states, models, size, source, target, texels_per_m, sun, shadows):
             q += 1
         if shadows:
             # The sun shadow of a box is its plan swept along the ground: the plan where it ends, two parallelograms.
-            length, width, tall = size[m, 0], size[m, 1], size[m, 2]
+            length, width, tall = 0.96 * size[m, 0], 0.96 * size[m, 1], 0.85 * size[m, 2]
             rx, ry = -tall * sun[0] / sun[2], -tall * sun[1] / sun[2]
             ux, uy, vx, vy = c * length, s * length, s * width, -c * width  # along the vehicle and to its right
             cx, cy = x - 0.5 * (ux + vx), y - 0.5 * (uy + vy)  # rear left corner
@@ -95,6 +95,9 @@ class Fleet:
     Args:
         world: whose models and sun are used.
         shadows: whether vehicles throw sun shadows.
+
+    Attributes:
+        size_m: ``(models, 3)`` length, width, height.
     """
 
     def __init__(self, world: World, shadows: bool) -> None:
@@ -103,14 +106,21 @@ class Fleet:
         self._source = (models.group_start, models.geometry, models.texel, models.look, models.tag, models.groups)
         self._counts = np.diff(models.group_start) + _SWEEPS * shadows
         kinds = [VEHICLE_KINDS[kind] for kind, _ in world.vehicles]
-        self._size = np.array([(0.96 * k.length_m, 0.96 * k.width_m, 0.85 * k.height_m) for k in kinds]).reshape(-1, 3)
+        self.size_m = np.array([(k.length_m, k.width_m, k.height_m) for k in kinds]).reshape(-1, 3)
         self._world, self._shadows = world, shadows
 
-    def placed(self, vehicles: Sequence[VehicleState]) -> PatchSet:
-        """Patches of the vehicles, one group each; vehicle i is rigid body i + 1."""
-        states = np.array([(v.x_m, v.y_m, v.yaw_rad) for v in vehicles]).reshape(-1, 3)
-        numbers = np.array([self._numbers[v.kind, v.colour] for v in vehicles], np.int64)
-        total = int(self._counts[numbers].sum())
+    def models(self, vehicles: Sequence[VehicleState]) -> NDArray[np.int64]:
+        """Number of each vehicle's model."""
+        return np.array([self._numbers[v.kind, v.colour] for v in vehicles], np.int64)
+
+    def placed(self, models: NDArray[np.int64], states: NDArray[np.float64]) -> PatchSet:
+        """Patches of the vehicles, one group each; vehicle i is rigid body i + 1.
+
+        Args:
+            models: ``(n,)`` numbers.
+            states: of ``moving_states``.
+        """
+        total = int(self._counts[models].sum())
         patches = PatchSet(
             geometry=np.empty((total, 9)),
             texel=np.empty((total, 6)),
@@ -122,8 +132,8 @@ class Fleet:
         target = (patches.group_start, patches.geometry, patches.texel, patches.look, patches.tag, patches.groups)
         _place(
             states,
-            numbers,
-            self._size,
+            models,
+            self.size_m,
             self._source,
             target,
             self._world.ground_texels_per_m,

@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
-
 import numpy as np
 from numba import njit
-from numpy.typing import NDArray
 
 from mixo_env.simulator.mirror import mixed
-from mixo_env.simulator.vehicles import VEHICLE_KINDS, VehicleState
 
 _NO_SPRAY_MPS = 3.0
 
@@ -53,45 +48,35 @@ def add_spray(radiance, depth, puffs, lens, clouds, colour):
                 radiance[row, column] = mixed(radiance[row, column], colour, int(256.0 * share))
 
 
-def spray_puffs(
-    vehicles: Sequence[VehicleState],
-    rotation: NDArray[np.float64],
-    position_m: NDArray[np.float64],
-    wetness: float,
-) -> NDArray[np.float64]:
+@njit(cache=True, error_model="numpy")
+def spray_puffs(states, size_m, rotation, position_m, wetness):
     """Puffs behind the wheels of moving vehicles for :func:`add_spray`, growing with speed and age.
 
     Args:
-        vehicles: near the camera.
+        states: of ``moving_states``, vehicles near the camera.
+        size_m: ``(n, 3)`` length, width, height.
         rotation: ``(3, 3)`` camera from map.
         position_m: ``(3,)`` of the camera.
         wetness: 0..1.
     """
-    kinds = [VEHICLE_KINDS[vehicle.kind] for vehicle in vehicles]
-    moving = [
-        (v.x_m, v.y_m, math.cos(v.yaw_rad), math.sin(v.yaw_rad), v.speed_mps, k.length_m, k.width_m, k.height_m)
-        for v, k in zip(vehicles, kinds, strict=True)
-        if v.speed_mps > _NO_SPRAY_MPS
-    ]
-    return _puffs(np.array(moving).reshape(-1, 8), rotation, position_m, wetness)
-
-
-@njit(cache=True, error_model="numpy")
-def _puffs(moving, rotation, position, wetness):
-    out = np.empty((8 * len(moving), 6))
-    n = 0
-    for x, y, c, s, speed, length, width, height in moving:
+    out = np.empty((8 * len(states), 6))
+    count = 0
+    for n in range(len(states)):
+        x, y, c, s, speed = states[n, 0], states[n, 1], np.cos(states[n, 2]), np.sin(states[n, 2]), states[n, 3]
+        length, width, height = size_m[n, 0], size_m[n, 1], size_m[n, 2]
+        if speed <= _NO_SPRAY_MPS:
+            continue
         thrown = wetness * min((speed - _NO_SPRAY_MPS) / 12.0, 1.0)
         for age in range(4):
             back = 0.5 * length - 0.4 + 0.9 * age
             for side in (-1.0, 1.0):
                 aside = side * 0.42 * width
-                dx, dy = x - back * c - aside * s - position[0], y - back * s + aside * c - position[1]
-                dz = 0.35 + 0.16 * age - position[2]
+                dx, dy = x - back * c - aside * s - position_m[0], y - back * s + aside * c - position_m[1]
+                dz = 0.35 + 0.16 * age - position_m[2]
                 for axis in range(3):
-                    out[n, axis] = rotation[axis, 0] * dx + rotation[axis, 1] * dy + rotation[axis, 2] * dz
-                out[n, 3] = (0.5 + 0.3 * age) * (0.7 + 0.3 * height)
-                out[n, 4] = 0.4 * thrown * 0.8**age
-                out[n, 5] = (31.0 * (x + y) + 57.0 * age + 20.0 * side) % 512.0
-                n += 1
-    return out[np.argsort(-out[:, 2], kind="mergesort")]
+                    out[count, axis] = rotation[axis, 0] * dx + rotation[axis, 1] * dy + rotation[axis, 2] * dz
+                out[count, 3] = (0.5 + 0.3 * age) * (0.7 + 0.3 * height)
+                out[count, 4] = 0.4 * thrown * 0.8**age
+                out[count, 5] = (31.0 * (x + y) + 57.0 * age + 20.0 * side) % 512.0
+                count += 1
+    return out[:count][np.argsort(-out[:count, 2], kind="mergesort")]

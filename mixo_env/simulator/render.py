@@ -133,16 +133,17 @@ class Renderer:
         sight = self.weather.sight_m
         x_m, y_m = (0.5 * (start.position_m + end.position_m)).tolist()[:2]
         near = [v for v in vehicles if math.hypot(v.x_m - x_m, v.y_m - y_m) < sight]
+        states, models = moving_states(near), self._fleet.models(near)
         rotation, position, motion = during_exposure(
             start.rotation_map_from_camera,
             start.position_m,
             end.rotation_map_from_camera,
             end.position_m,
-            moving_states(near),
+            states,
             0.5 * self.weather.shutter_s,
         )
         buffers, radiance, images, flow, vignette = self._memory(height, width)
-        patches = (self._fleet.placed(near), world.static)
+        patches = (self._fleet.placed(models, states), world.static)
         buffers.draw_patches(patches, rotation, position, lens, sight, world.texels, world.table)
         lamps = self._no_lamps
         if self.weather.lamps > self.weather.ambient:
@@ -163,7 +164,7 @@ class Renderer:
             wetness = self.weather.wetness
             seen = buffers.owner, buffers.depth, buffers.plane, buffers.mark
             mirror_road(radiance, *seen, rotation, position, lens, world.sky, wetness, images)
-            puffs = spray_puffs(near, rotation, position, wetness)
+            puffs = spray_puffs(states, self._fleet.size_m[models], rotation, position, wetness)
             add_spray(radiance, buffers.depth, puffs, lens, world.sky, self._air)
         mean = mean_radiance(radiance) / RADIANCE_UNIT
         wanted = min(self.weather.exposure_target / max(mean, 1e-6), self.weather.largest_gain)
