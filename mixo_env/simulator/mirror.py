@@ -121,20 +121,28 @@ def _shares(share, change, shown, clear, width, shares):
 
 
 @njit(**INLINED)
-def _blend(flat, offset, ripple, k, shown, shares, owner, road, out):
-    """Mix what they show into every second pixel of a run of road, those of patch ``k``; the others stay."""
+def _spread(shown, shares, places, parts):
+    """What the pixels of a row show, and how much of it, from what the cells of a run do."""
+    for i in range(shown.shape[0]):
+        places[2 * i], places[2 * i + 1] = shown[i], shown[i] + int32(1)
+    for i in range(shown.shape[0]):
+        parts[2 * i], parts[2 * i + 1] = shares[i], shares[i]
+
+
+@njit(**INLINED)
+def _blend(flat, offset, ripple, k, places, parts, owner, road, out):
+    """Mix what they show into a run of pixels of the road, those of patch ``k``; the others stay."""
     for i in range(out.shape[0]):
-        at = max(shown[i] + offset, int32(0))
+        at = max(places[i] + offset, int32(0))
         here, above = np.uintp(at), np.uintp(max(at - ripple, int32(0)))
-        part = np.int64(shares[i]) if owner[2 * i] == k else np.int64(0)
-        out[i] = mixed(road[2 * i], (flat[here] >> 1 & _HALVES) + (flat[above] >> 1 & _HALVES), part)
+        part = np.int64(parts[i]) if owner[i] == k else np.int64(0)
+        out[i] = mixed(road[i], (flat[here] >> 1 & _HALVES) + (flat[above] >> 1 & _HALVES), part)
 
 
 @njit(**INLINED)
 def _put(values, row):
-    """Write every second pixel of a row."""
     for i in range(values.shape[0]):
-        row[2 * i] = values[i]
+        row[i] = values[i]
 
 
 @njit(**INLINED)
@@ -208,7 +216,9 @@ def mirror_road(radiance, owner, depth, plane, mark, rotation, position, lens, c
     x_step, y_step = float32(rotation[0, 0] * step * per_m), float32(rotation[0, 1] * step * per_m)
     two_rows, ripple = int32(2 * width), int32(_RIPPLE_ROWS * width)
     shown, where = np.full(across, -1, np.int32), places
-    clear, shares, wet = np.empty(across, np.float32), sources, np.empty(across, np.int64)
+    clear, shares = np.empty(across, np.float32), sources
+    pixels, parts = np.empty(2 * across, np.int32), np.empty(2 * across, np.int32)
+    wet = np.empty(2 * across, np.int64)
     for line in range(top, down):
         row, begin = 2 * line, 0
         y = (row + 0.5 - cy) / fy
@@ -234,13 +244,11 @@ def mirror_road(radiance, owner, depth, plane, mark, rotation, position, lens, c
             share, end_share = 255.0 * wetness * _still_water(x, y, up), 255.0 * wetness * _still_water(last, y, up)
             change = (end_share - share) / run
             _shares(float32(share), float32(change), shown[begin:end], clear[:run], width, shares[:run])
+            left, right = 2 * begin, min(2 * end, width)
+            _spread(shown[begin:end], shares[:run], pixels[: 2 * run], parts[: 2 * run])
             for lower in range(min(2, height - row)):
-                for right in range(2):
-                    cells = min(run, (width - right + 1) // 2 - begin)
-                    road = radiance[row + lower, 2 * begin + right :]
-                    _blend(
-                        flat, int32(right - lower * width), ripple, k, shown[begin:end], shares[:run],
-                        owner[row + lower, 2 * begin + right :], road, wet[:cells],
-                    )  # fmt: skip
-                    _put(wet[:cells], road)
+                road, offset = radiance[row + lower, left:right], int32(-lower * width)
+                whose = owner[row + lower, left:right]
+                _blend(flat, offset, ripple, k, pixels, parts, whose, road, wet[: right - left])
+                _put(wet[: right - left], road)
             begin = end

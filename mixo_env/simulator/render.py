@@ -128,10 +128,9 @@ class Renderer:
             noise_seed: seed of the sensor noise; different for every picture.
         """
         world, height, width = self.world, calibration.height, calibration.width
-        k = calibration.intrinsic
-        lens = np.array([k[0, 0], k[1, 1], k[0, 2], k[1, 2]])
+        lens = calibration.intrinsic.take((0, 4, 2, 5))
         sight = self.weather.sight_m
-        x_m, y_m = (0.5 * (start.position_m + end.position_m)).tolist()[:2]
+        x_m, y_m = (0.5 * (start.position_m.item(i) + end.position_m.item(i)) for i in range(2))
         near = [v for v in vehicles if math.hypot(v.x_m - x_m, v.y_m - y_m) < sight]
         states, models = moving_states(near), self._fleet.models(near)
         rotation, position, motion = during_exposure(
