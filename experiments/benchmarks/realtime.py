@@ -28,7 +28,7 @@ from mixo_env.experts.monocular.odometry import MonocularOdometry
 from mixo_env.nuscenes.selections import CAMERAS
 
 STEP_MS = 1e3 / 12.0
-_WARM_UP = 3  # rounds that compile and fill caches
+_WARM_UP = 6  # rounds that compile and fill caches, the first ones of TRACKING among them
 
 
 def _distances(drive: Drive) -> NDArray[np.float64]:
