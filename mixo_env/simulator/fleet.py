@@ -50,6 +50,7 @@ def _place(states, models, size, source, target, texels_per_m, sun, shadows):
             q += 1
         if shadows:
             # The sun shadow of a box is its plan swept along the ground: the plan where it ends, two parallelograms.
+            # A box a little smaller than the body's outer size, which rounded bodies do not fill.
             length, width, tall = 0.96 * size[m, 0], 0.96 * size[m, 1], 0.85 * size[m, 2]
             rx, ry = -tall * sun[0] / sun[2], -tall * sun[1] / sun[2]
             ux, uy, vx, vy = c * length, s * length, s * width, -c * width  # along the vehicle and to its right
