@@ -201,8 +201,13 @@ def test_texture_is_interpolated_between_four_texels_and_repeats() -> None:
     texels = image.view(np.uint32).ravel()
     where = np.empty((6, 32), np.int32)
     for u, v in ((3.25, 2.5), (7.5, 3.75), (-0.75, -1.0), (4000.5, 1.25)):
+        start = int(u * 65536), int(v * 65536), 3 * 65536 // 2, -65536
         even, odd = np.ones(8, np.uint32), np.zeros(8, np.uint32)
-        add_texels(texels, (3, 7, 3), int(u * 65536), int(v * 65536), 3 * 65536 // 2, -65536, where, even, odd)
+        add_texels(texels, (3, 7, 3), *start, where, np.uint32(0xFFFFFFFF), even, odd)
+        fresh_even, fresh_odd = np.full((2, 8), 77, np.uint32)  # what was there before is dropped
+        add_texels(texels, (3, 7, 3), *start, where, np.uint32(0), fresh_even, fresh_odd)
+        assert np.array_equal(fresh_even + 1, even)
+        assert np.array_equal(fresh_odd, odd)
         for i in range(8):
             x, y = u + 1.5 * i, v - i
             left, top = int(np.floor(x)), int(np.floor(y))

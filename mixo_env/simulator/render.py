@@ -141,6 +141,8 @@ class Renderer:
             states,
             0.5 * self.weather.shutter_s,
         )
+        image = np.empty((height, width, 3), np.uint8)
+        offset = np.random.PCG64(noise_seed).random_raw(height).view(np.uint32).reshape(height, 2) // _OFFSET_STEP
         buffers, radiance, images, flow, vignette = self._memory(height, width)
         patches = (self._fleet.placed(models, states), world.static)
         buffers.draw_patches(patches, rotation, position, lens, sight, world.texels, world.table)
@@ -170,8 +172,6 @@ class Renderer:
         used = wanted if gain is None else gain
         if self.weather.lamps > self.weather.ambient:
             add_glare(radiance, RADIANCE_UNIT / used, GLARE)
-        image = np.empty((height, width, 3), np.uint8)
-        offset = np.random.PCG64(noise_seed).random_raw(height).view(np.uint32).reshape(height, 2) // _OFFSET_STEP
         shot, read = self.weather.shot_noise, self.weather.read_noise
         expose(radiance, flow, vignette, self._noise, offset, used / RADIANCE_UNIT, shot, read, image)
         return RenderedImage(image, used + EXPOSURE_LAG * (wanted - used))

@@ -25,7 +25,7 @@ _LOW, _PAIR = np.uint32(0xFFFF), np.uint32(0x00FF00FF)
 
 
 @njit(**INLINED)
-def add_texels(texels, shape, u, v, step_u, step_v, where, red_blue, green_alpha):
+def add_texels(texels, shape, u, v, step_u, step_v, where, keep, red_blue, green_alpha):
     """Add a texture, interpolated between four texels, along a span to the sums of its pixels.
 
     Two loops of 32-bit numbers, so that both run in SIMD; each product weighs two channels at once.
@@ -38,6 +38,7 @@ def add_texels(texels, shape, u, v, step_u, step_v, where, red_blue, green_alpha
         step_u: from pixel to pixel.
         step_v: the same.
         where: ``(6, SPAN)`` int32, working memory.
+        keep: uint32, all bits to add to the sums, none to begin them (what they held before is dropped).
         red_blue: uint32, sums of red in the lower 16 bits, of blue in the upper.
         green_alpha: the same of green and the fourth channel.
     """
@@ -65,8 +66,8 @@ def add_texels(texels, shape, u, v, step_u, step_v, where, red_blue, green_alpha
             + (t10 >> _U8 & _PAIR) * w10
             + (t11 >> _U8 & _PAIR) * w11
         )
-        red_blue[i] += even >> _U8 & _PAIR
-        green_alpha[i] += odd >> _U8 & _PAIR
+        red_blue[i] = (red_blue[i] & keep) + (even >> _U8 & _PAIR)
+        green_alpha[i] = (green_alpha[i] & keep) + (odd >> _U8 & _PAIR)
 
 
 @njit(**INLINED)

@@ -50,10 +50,12 @@ _OFF_WALL_M = 0.8  # shadows are looked up this far off a surface, or every wall
 
 
 @njit(**INLINED)
-def _ramp(start, step, out):
-    first, slope = float32(start), float32(step)
-    for i in range(out.shape[0]):
-        out[i] = first + slope * float32(i)
+def _ramps(along, along_step, down, down_step, flow_along, flow_down):
+    """Write a motion that changes evenly along a span."""
+    u, du, v, dv = float32(along), float32(along_step), float32(down), float32(down_step)
+    for i in range(flow_along.shape[0]):
+        flow_along[i] = u + du * float32(i)
+        flow_down[i] = v + dv * float32(i)
 
 
 @njit(**INLINED)
@@ -111,8 +113,7 @@ def _sky_run(row, begin, stop, camera, light, textures, motion, memory, out, flo
         read_grain(sky, _SKY_LOG, gu, gv, du, dv, where, specks[: _whole(end - x)])
         contrast = float32(light[9] * _GRAIN_UNIT)
         _blend_sky(float32(high), float32(ehigh), contrast, tones, specks[: end - x], out[row, x:end])
-        _ramp(fu, efu, flow[0, row, x:end])
-        _ramp(fv, efv, flow[1, row, x:end])
+        _ramps(fu, efu, fv, efv, flow[0, row, x:end], flow[1, row, x:end])
         x = end
 
 
@@ -129,10 +130,9 @@ def _whole(length):
 def _fetch(texels, shape, steps, taps, where, red_blue, green_alpha):
     """Texture along a span: the sum of ``taps`` samples for every pixel."""
     u, v, step_u, step_v, tap_u, tap_v = steps
-    red_blue[:] = np.uint32(0)
-    green_alpha[:] = np.uint32(0)
     for tap in range(taps):
-        add_texels(texels, shape, u + tap * tap_u, v + tap * tap_v, step_u, step_v, where, red_blue, green_alpha)
+        keep = np.uint32(0) if tap == 0 else np.uint32(0xFFFFFFFF)
+        add_texels(texels, shape, u + tap * tap_u, v + tap * tap_v, step_u, step_v, where, keep, red_blue, green_alpha)
 
 
 @njit(**INLINED)
@@ -322,8 +322,7 @@ def _shade_run(row, begin, stop, k, seen, camera, light, textures, daylight, nig
         back = 2.0 / max(mz0 + mz1 * last, 1e-4)
         nu = ((mx0 + mx1 * last) * back * fx + 2.0 * (cx - last) - mu) * inverse
         nv = ((my0 + my1 * last) * back * fy + 2.0 * (cy - row) - mv) * inverse
-        _ramp(mu, nu, flow[0, row, x : x + wide_span])
-        _ramp(mv, nv, flow[1, row, x : x + wide_span])
+        _ramps(mu, nu, mv, nv, flow[0, row, x : x + wide_span], flow[1, row, x : x + wide_span])
         x = end
 
 
