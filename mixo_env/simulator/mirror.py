@@ -153,6 +153,15 @@ def _still_water(x, y, up):
     return 0.02 + 0.98 * squared * squared * grazing
 
 
+@njit(**INLINED)
+def _end_of_run(owner, begin, across):
+    """First cell after ``begin`` that shows another patch; ``owner`` of the pixels of its first row."""
+    end = begin + 1
+    while end < across and owner[2 * end] == owner[2 * begin]:
+        end += 1
+    return end
+
+
 @njit(cache=True, error_model="numpy")
 def mirror_road(radiance, owner, depth, plane, mark, rotation, position, lens, clouds, wetness, images):
     """Blend into the road what it mirrors.
@@ -190,10 +199,7 @@ def mirror_road(radiance, owner, depth, plane, mark, rotation, position, lens, c
         near[:] = depth[row, ::2]
         y = (row + 0.5 - cy) / fy
         while begin < across:
-            k = owner[row, 2 * begin]
-            end = begin + 1
-            while end < across and owner[row, 2 * end] == k:
-                end += 1
+            k, end = owner[row, 2 * begin], _end_of_run(owner[row], begin, across)
             run = end - begin
             x = (2 * begin + 0.5 - cx) / fx
             rise = x * up[0] + y * up[1] + up[2]
@@ -223,10 +229,7 @@ def mirror_road(radiance, owner, depth, plane, mark, rotation, position, lens, c
         row, begin = 2 * line, 0
         y = (row + 0.5 - cy) / fy
         while begin < across:
-            k = owner[row, 2 * begin]
-            end = begin + 1
-            while end < across and owner[row, 2 * end] == k:
-                end += 1
+            k, end = owner[row, 2 * begin], _end_of_run(owner[row], begin, across)
             if k < 0 or mark[k, 1] != GROUND:
                 shown[begin:end] = -1
                 begin = end
