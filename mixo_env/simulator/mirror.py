@@ -19,7 +19,7 @@ _FIELD = (1 << 21) - 1
 _HALVES = (0xFFFFF << 42) | (0xFFFFF << 21) | 0xFFFFF
 _RIPPLE_ROWS = 3  # the road shows the mean of two places so far apart
 _PUDDLE_TEXELS_PER_M = 9.0
-_ROUGH, _MEAN_CLEAR = 0.35, 0.71  # share of the mirrored light that a rough road keeps, and its mean with puddles
+_ROUGH, _MEAN_CLEAR = 0.35, 0.71  # share of the mirrored light that a rough road keeps, and that far puddles blur to
 _CLEAR_M = 12.0  # farther away single puddles blur
 _FADING_ROWS = 32.0  # of the picture, at its top: an edge where the mirror ends would stand still in the picture
 _STRETCH = 64  # cells within which the share of mirrored light is linear
@@ -141,6 +141,7 @@ def _blend(flat, offset, ripple, k, places, parts, owner, road, out):
 
 @njit(**INLINED)
 def _put(values, row):
+    """Write a run; :func:`_blend` must not, since it reads from the same picture."""
     for i in range(values.shape[0]):
         row[i] = values[i]
 

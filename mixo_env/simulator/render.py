@@ -187,10 +187,11 @@ class Renderer:
             squared = ((x - 0.5 * width) ** 2 + (y - 0.5 * height) ** 2) / (0.5 * width) ** 2
             # One block, so that the operating system can back all of it with large pages.
             size = height * width
-            block = np.empty(9 * size + 3, np.float32)
+            cells = ((height + 1) // 2) * ((width + 1) // 2)
+            block = np.empty(7 * size + size % 2 + 2 * (cells + 1), np.float32)
             radiance = block[: 2 * size].view(np.int64).reshape(height, width)
             planes = block[2 * size : 7 * size].reshape(5, height, width)
-            images = block[7 * size + size % 2 :][: 2 * size + 2].view(np.int64)
+            images = block[7 * size + size % 2 :].view(np.int64)
             planes[4] = (1.0 + 0.22 * squared) ** -2
             buffers = DepthBuffers(planes[2], planes[3].view(np.int32))
             self._sizes[height, width] = buffers, radiance, images, planes[:2], planes[4]
