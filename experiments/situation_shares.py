@@ -20,9 +20,9 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 
-from experiments.data_sheet import stored
-from experiments.leaderboard import ONE_FOLD, Table, build
+from docs._pages.data_sheet import stored
 from mixo_env.errors import ConfigurationError, MixoError
+from mixo_env.leaderboard.board import ONE_FOLD, Table, build
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.store import load_recordings
 
@@ -110,7 +110,7 @@ def table_scores(table: Table) -> dict[str, dict[str, float]]:
 
 def leaderboard_scores(recordings: Recordings, choice: Choice) -> Scores:
     """The leaderboard of one variant: learned policies are fitted anew, those of ``ONE_FOLD`` left out."""
-    from baselines.registry import names
+    from mixo_env.policies.registry import names
 
     chosen = {*choice.plain, *choice.staged}
     scenes = recordings.select(scenes=[scene.name for scene in recordings.scenes if scene.name in chosen])

@@ -9,14 +9,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from baselines import registry
-from baselines.gate import Mixo
-from baselines.playing import play
-from baselines.policy import Policy
-from baselines.reinforcement import PPO
-from baselines.single import Single
 from mixo_env.envs.replay import Replay
 from mixo_env.errors import ConfigurationError, PolicyError
+from mixo_env.policies import registry
+from mixo_env.policies.gate import Mixo
+from mixo_env.policies.playing import play
+from mixo_env.policies.policy import Policy
+from mixo_env.policies.reinforcement import PPO
+from mixo_env.policies.single import Single
 from mixo_env.recordings.collection import Recordings
 from tests.synthetic import synthetic_recordings
 
@@ -158,5 +158,7 @@ def test_loading_refuses_what_is_missing_broken_or_another_policy(training: Reco
 
 
 def test_importing_the_registry_is_light() -> None:
-    code = "import sys, baselines.registry; print([m for m in ('torch', 'stable_baselines3') if m in sys.modules])"
+    code = (
+        "import sys, mixo_env.policies.registry; print([m for m in ('torch', 'stable_baselines3') if m in sys.modules])"
+    )
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "[]\n"

@@ -7,14 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from baselines.gate import Mixo
-from baselines.linear import Linear
-from baselines.policy import Policy
-from baselines.reinforcement import PPO, actor_layers, flat, mean_action
-from baselines.robust import Median
-from experiments.evaluation import rollout
 from mixo_env.envs.observation import RICH
 from mixo_env.envs.replay import Replay
+from mixo_env.leaderboard.evaluation import rollout
+from mixo_env.policies.gate import Mixo
+from mixo_env.policies.linear import Linear
+from mixo_env.policies.policy import Policy
+from mixo_env.policies.reinforcement import PPO, actor_layers, flat, mean_action
+from mixo_env.policies.robust import Median
 from mixo_env.recordings.collection import Recordings
 from tests.synthetic import synthetic_recordings
 

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from baselines.linear import Linear
-from baselines.match import HighestMatch
-from baselines.oracle import MulticameraGT, OracleAll, OracleHull
-from baselines.playing import collect
-from baselines.policy import Observation
-from baselines.robust import EFFICIENCY_95, Huber, Mean, Median, median_weights, votes
+from mixo_env.policies.linear import Linear
+from mixo_env.policies.match import HighestMatch
+from mixo_env.policies.oracle import MulticameraGT, OracleAll, OracleHull
+from mixo_env.policies.playing import collect
+from mixo_env.policies.policy import Observation
+from mixo_env.policies.robust import EFFICIENCY_95, Huber, Mean, Median, median_weights, votes
 from mixo_env.recordings.fitting import with_fits
 from tests.synthetic import NOISE_RAD, synthetic_recordings
 

@@ -9,9 +9,9 @@ import cv2
 import numpy as np
 import pytest
 
-from experiments.benchmarks.drives import open_drives
-from experiments.benchmarks.matching import correct_matches, cpu_ms
-from experiments.benchmarks.odometry import HEAD, Run, accumulated_deg, rms, row, run_camera
+from experiments.speed.drives import open_drives
+from experiments.speed.matching import correct_matches, cpu_ms
+from experiments.speed.odometry import HEAD, Run, accumulated_deg, rms, row, run_camera
 from mixo_env.experts.monocular.config import MonocularConfig
 from mixo_env.nuscenes.tables import open_dataset
 from tests.nuscenes_fixture import DRIVES, write_nuscenes

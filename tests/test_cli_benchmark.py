@@ -10,7 +10,7 @@ from pathlib import Path
 import msgspec
 import pytest
 
-from experiments.commands.benchmark import Benchmark
+from mixo_env.cli.benchmark import Benchmark
 from mixo_env.recordings.store import save_recordings
 from tests.synthetic import synthetic_recordings
 
@@ -26,7 +26,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def mixo(*arguments: str, cwd: Path) -> subprocess.CompletedProcess[str]:
     environment = os.environ | {"PYTHONPATH": str(Path(__file__).parents[1]), "COLUMNS": "80"}
-    command = [sys.executable, "-W", "error", "-m", "experiments.cli", "benchmark", *arguments]
+    command = [sys.executable, "-W", "error", "-m", "mixo_env.cli.main", "benchmark", *arguments]
     return subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True, check=False)
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments import cli
+from mixo_env.cli import main as cli
 from mixo_env.trajectory import Trajectory, write_kitti, write_tum
 from tests.trajectories import (
     disturbed,
@@ -217,7 +217,7 @@ def test_errors_are_one_line_with_the_right_exit_code(files, capsys, monkeypatch
 def test_the_installed_command_runs(files):
     arguments = ["evaluate", "--groundtruth", files / "gt.txt", "--estimate", files / "orb.txt", "--json"]
     run = subprocess.run(
-        [sys.executable, "-m", "experiments.cli", *map(str, arguments)], capture_output=True, text=True, check=False
+        [sys.executable, "-m", "mixo_env.cli.main", *map(str, arguments)], capture_output=True, text=True, check=False
     )
     assert run.returncode == 0, run.stderr
     assert json.loads(run.stdout)["methods"]["orb"]["poses"] == 200

@@ -8,10 +8,10 @@ import io
 import numpy as np
 import pytest
 
-from experiments.scoring import Convention, join, score
-from experiments.scoring_figures import COLOURS, ate_boxes, error_by_distance, rte_boxes, top_view
-from experiments.tables import Column, Table
 from mixo_env.metrics.pairs import PairRule
+from mixo_env.scoring.score_figures import COLOURS, ate_boxes, error_by_distance, rte_boxes, top_view
+from mixo_env.scoring.scores import Convention, join, score
+from mixo_env.tables import Column, Table
 from tests.trajectories import disturbed, drive
 
 TABLE = Table(

@@ -13,7 +13,7 @@ from tests.nuscenes_fixture import DRIVES, write_nuscenes
 
 
 def mixo(*arguments: object) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-m", "experiments.cli", *map(str, arguments)]
+    command = [sys.executable, "-m", "mixo_env.cli.main", *map(str, arguments)]
     return subprocess.run(command, capture_output=True, text=True, check=False)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from experiments.cli import main
+from mixo_env.cli.main import main
 from mixo_env.experts.expert import State
 from mixo_env.experts.monocular.config import MonocularConfig
 from mixo_env.recordings.store import load_recordings

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 import tyro
 
-from experiments.cli import main
-from experiments.commands.simulate import Simulate
+from mixo_env.cli.main import main
+from mixo_env.cli.simulate import Simulate
 from mixo_env.simulator.config import SimulationConfig
 
 ROOT = Path(__file__).parent.parent
@@ -33,7 +33,7 @@ def test_simulates_continues_and_refuses(tmp_path, capsys):
     out = str(tmp_path / "city")
     options = ("--scenes", "2", "--seconds", "2", "--no-images")
     first = subprocess.run(
-        [sys.executable, "-m", "experiments.cli", "simulate", out, *options],
+        [sys.executable, "-m", "mixo_env.cli.main", "simulate", out, *options],
         capture_output=True,
         text=True,
         cwd=ROOT,

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import simplejpeg
 
-from experiments.cli import main
+from mixo_env.cli.main import main
 from mixo_env.experts.monocular.vocabulary import load_vocabulary
 from mixo_env.nuscenes.tables import open_dataset
 from tests.nuscenes_fixture import DRIVES, write_nuscenes

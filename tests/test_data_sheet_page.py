@@ -11,15 +11,14 @@ import cv2
 import numpy as np
 import pytest
 
-import experiments
-from experiments.data_sheet import stored
-from experiments.data_sheet.__main__ import MEASURED, PAGE, STUDY
-from experiments.data_sheet.folder import City, open_city
-from experiments.data_sheet.measured import measure
-from experiments.data_sheet.motion import recorded_paths
-from experiments.data_sheet.page import FIGURES, page
-from experiments.data_sheet.real import load_real
-from experiments.data_sheet.samples import draw_motion
+from docs._pages.data_sheet import stored
+from docs._pages.data_sheet.__main__ import MEASURED, PAGE, STUDY
+from docs._pages.data_sheet.folder import City, open_city
+from docs._pages.data_sheet.measured import measure
+from docs._pages.data_sheet.motion import recorded_paths
+from docs._pages.data_sheet.page import FIGURES, page
+from docs._pages.data_sheet.real import load_real
+from docs._pages.data_sheet.samples import draw_motion
 from mixo_env.errors import ConfigurationError, DatasetError
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.store import load_recordings
@@ -28,7 +27,7 @@ from mixo_env.simulator.config import SimulationConfig, SituationShares
 from mixo_env.simulator.dataset import simulate
 from tests.synthetic import synthetic_recordings
 
-DOCS = Path(experiments.__file__).parent.parent / "docs"
+DOCS = Path(__file__).parent.parent / "docs"
 
 CAMERAS = ("CAM_FRONT", "CAM_BACK")
 
@@ -149,7 +148,7 @@ def test_a_folder_of_something_else_is_refused(tmp_path: Path):
 
 
 def test_the_page_in_docs_is_that_of_the_bundled_recordings():
-    """After new recordings or another wording: python -m experiments.data_sheet [--images FOLDER]."""
+    """After new recordings or another wording: python -m docs._pages.data_sheet [--images FOLDER]."""
     study = stored.load(DOCS / STUDY) if (DOCS / STUDY).exists() else None
     text = page(load_recordings(), stored.load(DOCS / MEASURED), load_real(), study)
     assert (DOCS / PAGE).read_text(encoding="utf-8") == text

@@ -11,20 +11,20 @@ import cv2
 import numpy as np
 import pytest
 
-from experiments.data_sheet import comparison, real, stored
-from experiments.data_sheet.images import evenly, match_pair, pair_statistics
-from experiments.data_sheet.motion import (
+from docs._pages.data_sheet import comparison, real, stored
+from docs._pages.data_sheet.images import evenly, match_pair, pair_statistics
+from docs._pages.data_sheet.motion import (
     Path as Way,
 )
-from experiments.data_sheet.motion import (
+from docs._pages.data_sheet.motion import (
     forward_speed_mps,
     interval_statistics,
     motion_statistics,
     recorded_intervals,
     recorded_paths,
 )
-from experiments.data_sheet.movers import in_sight, mover_mask, outline
-from experiments.data_sheet.outcomes import (
+from docs._pages.data_sheet.movers import in_sight, mover_mask, outline
+from docs._pages.data_sheet.outcomes import (
     best_shares,
     camera_lost_tracks,
     exact_step_errors,
@@ -33,7 +33,7 @@ from experiments.data_sheet.outcomes import (
     turning_steps,
     yaw_errors,
 )
-from experiments.data_sheet.sensors import production_gyro_statistics, sensor_statistics
+from docs._pages.data_sheet.sensors import production_gyro_statistics, sensor_statistics
 from mixo_env.errors import ConfigurationError, DatasetError
 from mixo_env.geometry import quaternion_wxyz_from_yaw
 from mixo_env.nuscenes.scene import CameraCalibration

@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from docs._pages.episode_gif import EpisodeGif
 from experiments.budget import BudgetStudy
-from experiments.episode_gif import EpisodeGif
 from mixo_env.recordings.store import save_recordings
 from tests.synthetic import synthetic_recordings
 

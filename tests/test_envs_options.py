@@ -13,7 +13,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from experiments import environment_page
+from docs._pages import environment_page
 from mixo_env import fusion
 from mixo_env.envs.faults import Fault, inject, read_faults
 from mixo_env.envs.observation import AWAKE, RICH
@@ -414,7 +414,7 @@ def test_memory_stays_constant() -> None:
 
 def test_the_page_is_up_to_date_and_the_docstrings_hold_the_tables() -> None:
     assert environment_page.PAGE.read_text(encoding="utf-8") == environment_page.page(), (
-        "run python -m experiments.environment_page"
+        "run python -m docs._pages.environment_page"
     )
     page = environment_page.page()
     assert environment_page.observation_table(RICH) in page

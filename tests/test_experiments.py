@@ -8,17 +8,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from baselines.gate import Mixo
-from baselines.playing import play
-from baselines.registry import POLICIES, create, names
-from baselines.single import Single
-from experiments.evaluation import FLOORS, Course, lost_tracks, poses, rollout
-from experiments.leaderboard import build, choose
-from experiments.protocol import Protocol
 from mixo_env.envs.replay import Replay
 from mixo_env.errors import ConfigurationError, PolicyError
 from mixo_env.experts.expert import State
 from mixo_env.fusion import dead_reckon
+from mixo_env.leaderboard.board import build, choose
+from mixo_env.leaderboard.crossvalidation import CrossValidation
+from mixo_env.leaderboard.evaluation import FLOORS, Course, lost_tracks, poses, rollout
+from mixo_env.policies.gate import Mixo
+from mixo_env.policies.playing import play
+from mixo_env.policies.registry import POLICIES, create, names
+from mixo_env.policies.single import Single
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.fitting import substituted_increments
 from mixo_env.recordings.schema import VehicleConstants
@@ -167,7 +167,7 @@ def test_truth_of_the_tested_scenes_never_reaches_a_policy(
         return values
 
     runs = [
-        Protocol(data, bundled=never).run(name, "PAPER", folds=[fold])
+        CrossValidation(data, bundled=never).run(name, "PAPER", folds=[fold])
         for data in (recordings, changed(recordings, shifted))
     ]
     before, after = (run.motion.yaw_increment_rad[held_out] for run in runs)
@@ -176,7 +176,7 @@ def test_truth_of_the_tested_scenes_never_reaches_a_policy(
 
 
 def test_learned_policies_are_fitted_once_per_fold(recordings: Recordings) -> None:
-    protocol = Protocol(recordings, bundled=never)
+    protocol = CrossValidation(recordings, bundled=never)
     run = protocol.run("LINEAR", "CONSUMER")
     assert sorted(run.policies) == [0, 1, 2, 3]
     assert len({policy.weights.tobytes() for policy in run.policies.values()}) == 4
@@ -191,7 +191,7 @@ def test_learned_policies_are_fitted_once_per_fold(recordings: Recordings) -> No
 def test_night_is_left_out_of_the_folds(recordings: Recordings) -> None:
     scenes = tuple(replace(scene, fold=-1) if i < 2 else scene for i, scene in enumerate(recordings.scenes))
     dark = Recordings(replace(recordings.manifest, scenes=scenes), {c: recordings[c] for c in recordings.column_names})
-    protocol = Protocol(dark, bundled=never)
+    protocol = CrossValidation(dark, bundled=never)
     assert (protocol.left_out, len(protocol.recordings), protocol.folds) == (2, 6, (0, 1, 2, 3))
     assert all(scene.fold >= 0 for scene in protocol.training(1).scenes)
 
@@ -199,7 +199,7 @@ def test_night_is_left_out_of_the_folds(recordings: Recordings) -> None:
 def test_with_one_fold_learned_policies_come_from_the_bundled_recordings(recordings: Recordings) -> None:
     alone = recordings.select(folds=[2])
     bundled = hashed(synthetic_recordings(7))
-    protocol = Protocol(alone, bundled=lambda: bundled)
+    protocol = CrossValidation(alone, bundled=lambda: bundled)
     run = protocol.run("LINEAR", "PAPER")
     assert protocol.foreign
     assert run.tested.all()
@@ -212,10 +212,10 @@ def test_with_one_fold_learned_policies_come_from_the_bundled_recordings(recordi
 def test_tested_scenes_are_never_training_scenes_even_from_the_bundle(recordings: Recordings) -> None:
     bundled = hashed(recordings)
     alone = bundled.select(folds=[2])
-    names = {scene.name for scene in Protocol(alone, bundled=lambda: bundled).training(-1).scenes}
+    names = {scene.name for scene in CrossValidation(alone, bundled=lambda: bundled).training(-1).scenes}
     assert names == {scene.name for scene in bundled.scenes} - {scene.name for scene in alone.scenes}
     with pytest.raises(PolicyError, match="found none"):
-        Protocol(alone, bundled=lambda: alone).run("LINEAR", "PAPER")
+        CrossValidation(alone, bundled=lambda: alone).run("LINEAR", "PAPER")
 
 
 def test_policy_names_are_found_however_they_are_spelt(recordings: Recordings) -> None:

@@ -12,9 +12,9 @@ import msgspec
 import numpy as np
 import pytest
 
-from experiments import report
-from experiments.figures import draw_trajectories
-from experiments.leaderboard import Leaderboard, build
+from mixo_env.leaderboard import report
+from mixo_env.leaderboard.board import Leaderboard, build
+from mixo_env.leaderboard.figures import draw_trajectories
 from mixo_env.recordings.collection import Recordings
 from tests.synthetic import synthetic_recordings
 
@@ -102,7 +102,7 @@ def test_scene_lines_average_to_the_table(board: Leaderboard) -> None:
 def test_policies_tested_on_one_fold_are_compared_on_that_fold_alone(
     recordings: Recordings, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("experiments.leaderboard.ONE_FOLD", ("HUBER",))
+    monkeypatch.setattr("mixo_env.leaderboard.board.ONE_FOLD", ("HUBER",))
     board = build(recordings, policies=("MEDIAN", "LINEAR", "HUBER"), tracks=("VISION",))
     (table,) = board.tables
     assert [row.run.name for row in table.rows] == ["MEDIAN", "LINEAR"]
@@ -122,7 +122,9 @@ def test_unfit_policies_are_left_out_with_a_reason_unless_asked_for(
     def none() -> Recordings:
         return other
 
-    monkeypatch.setattr("experiments.protocol.Protocol.training", lambda self, fold: _no_training())
+    monkeypatch.setattr(
+        "mixo_env.leaderboard.crossvalidation.CrossValidation.training", lambda self, fold: _no_training()
+    )
     with pytest.raises(PolicyError, match="nothing to learn from"):
         build(none(), policies=("LINEAR",), tracks=("VISION",))
     board = build(none(), tracks=("VISION",))

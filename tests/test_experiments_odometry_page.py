@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments.odometry_page import (
+from docs._pages.odometry_page import (
     DOCS,
     OdometryPage,
     attributes,
@@ -19,7 +19,7 @@ from experiments.odometry_page import (
     settings_table,
     signals_table,
 )
-from experiments.odometry_pictures import (
+from docs._pages.odometry_pictures import (
     NEAREST_M,
     PairView,
     Track,
@@ -112,7 +112,7 @@ def test_tables_hold_every_setting_and_signal_with_its_meaning() -> None:
 
 def test_the_page_is_up_to_date() -> None:
     text = (DOCS / "odometry.md").read_text(encoding="utf-8")
-    again = "run `python -m experiments.odometry_page`"
+    again = "run `python -m docs._pages.odometry_page`"
     assert text == page(), again
     assert signals_table() in text
     assert settings_table() in text

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from experiments.process_noise_page import (
+from docs._pages.process_noise_page import (
     FACTORS,
     PAPER_WEIGHT,
     Outcome,

@@ -12,8 +12,13 @@ import pytest
 ROOT = Path(__file__).parent.parent
 
 FLOORS = (
+    "docs._pages",
     "experiments",
     "baselines",
+    "mixo_env.cli",
+    "mixo_env.leaderboard",
+    "mixo_env.scoring",
+    "mixo_env.policies",
     "mixo_env.envs",
     "mixo_env.recordings",
     "mixo_env.experts",
@@ -21,6 +26,7 @@ FLOORS = (
     "mixo_env.metrics",
     "mixo_env.nuscenes",
     "mixo_env.trajectory",
+    "mixo_env.tables",
     "mixo_env.fusion",
     "mixo_env.geometry",
     "mixo_env.errors",
@@ -28,7 +34,7 @@ FLOORS = (
 
 MODULES = sorted(
     path.relative_to(ROOT)
-    for package in ("mixo_env", "baselines", "experiments")
+    for package in ("mixo_env", "baselines", "experiments", "docs/_pages")
     for path in (ROOT / package).rglob("*.py")
 )
 

@@ -10,11 +10,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments.evo_results import write_evo_result
 from experiments.peers.evo_client import evo_python, evo_scores
-from experiments.scoring import Convention, join, score
 from mixo_env.metrics.aggregate import per_length, statistics
 from mixo_env.metrics.pairs import PairRule
+from mixo_env.scoring.evo_results import write_evo_result
+from mixo_env.scoring.scores import Convention, join, score
 from mixo_env.trajectory import Trajectory, read_trajectory, write_kitti, write_tum
 from tests.trajectories import disturbed, drive, moved, random_rotation
 

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parent.parent
-PACKAGES = ("mixo_env", "baselines", "experiments")
+PACKAGES = ("mixo_env",)
 
 pytestmark = pytest.mark.integration
 

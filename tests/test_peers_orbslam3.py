@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments.benchmarks.drives import open_drives
 from experiments.peers.orbslam3_client import OrbRun, OrbSettings, orbslam3_python, run_orbslam3
 from experiments.peers.orbslam3_words import BRANCHES, train_words
+from experiments.speed.drives import open_drives
 from mixo_env.errors import ConfigurationError, MixoError
 from mixo_env.geometry import rotation_from_yaw
 from tests.corridor import AXES, calibration, picture

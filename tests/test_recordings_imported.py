@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from experiments.cli import main
+from mixo_env.cli.main import main
 from mixo_env.errors import ConfigurationError, TrajectoryError
 from mixo_env.experts.imported import MAXIMUM_GAP_S, imported_increments
 from mixo_env.fusion import least_squares_weights

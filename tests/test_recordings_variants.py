@@ -8,17 +8,17 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from baselines.registry import create, names
-from experiments.cli import main
-from experiments.evaluation import instantly_tracking
-from experiments.leaderboard import build
-from experiments.report import conventions
+from mixo_env.cli.main import main
 from mixo_env.envs.replay import Replay
 from mixo_env.errors import ConfigurationError
 from mixo_env.experts.expert import State
 from mixo_env.experts.monocular.config import MonocularConfig
 from mixo_env.experts.monocular.odometry import MonocularOdometry
+from mixo_env.leaderboard.board import build
+from mixo_env.leaderboard.evaluation import instantly_tracking
+from mixo_env.leaderboard.report import conventions
 from mixo_env.nuscenes.selections import CAMERAS
+from mixo_env.policies.registry import create, names
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.keyframes import at_keyframes
 from mixo_env.recordings.record import RecordConfig, record

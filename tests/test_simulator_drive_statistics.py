@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from experiments.data_sheet import motion
+from docs._pages.data_sheet import motion
 from mixo_env.simulator.clock import scene_times
 from mixo_env.simulator.config import SimulationConfig
 from mixo_env.simulator.localisation import localise

@@ -1,0 +1,132 @@
+"""The words of the data sheet. What is measured comes from elsewhere; settings named here are the code's."""
+
+HEAD = """# The simulated city
+
+<!-- Written by `python -m docs._pages.data_sheet`; change that. -->
+
+The data sheet of `{data}`, the recordings that come with the package: how they were made, how they compare with
+real driving, and what nobody fitted. nuScenes cannot be shipped; this city stands in for it, so that everything
+works without data and results on it are worth something. It is simulated: claims about real driving need real
+recordings.
+"""
+
+HOW_MADE = """## How it was made
+
+`make mixocity` does everything, resumable; stage by stage it is `python -m experiments.mixocity`. In short:
+
+1. **Plan.** A configuration and a seed decide logs, weather, rigs, sensors and situations before anything is driven
+   (`mixo_env/simulator/scenario.py`). Equal configurations give equal files, whatever the number of workers.
+2. **Drive.** A route through a street grid, a speed profile within limits of acceleration and jerk, a body that
+   pitches, rolls, heaves and slips, and other vehicles around it (`drive`, `routes`, `traffic`).
+3. **Sense.** CAN messages with the noise, bias, latency and gaps of the real car (`vehicle_bus`), written poses
+   with the wandering of a real localisation (`localisation`), written calibrations and time stamps with small
+   errors (`rig`, `clock`). The noise-free truth is kept apart, and both scores are shown.
+4. **See.** Each log has a city of its own, rendered through four of the six nuScenes cameras (`world`, `render`,
+   `sensor`).
+5. **Record.** The project's experts run over the images once (`mixo record`). Only the recordings are shipped.
+
+Calibrated were pictures, motion and CAN bus, against the real figures below and nothing else: neither expert
+failures nor shares of locally best cameras nor the order of methods were looked at while the simulator was set.
+"""
+
+LOGS = """Every log is one drive of one of two cars through a city of its own. Wheel radius: mean of the rear axle;
+course: direction of travel minus heading; lag: of the written poses; then the constant biases of three yaw-rate
+sensors."""
+
+SAMPLES = """Every situation and condition once, from the first such scene by day: the middle image; in traffic the
+image that moving vehicles (lead truck, following van: of that kind) cover most, up to 60 %; in turns the sharpest; of
+low texture the barest."""
+
+BESIDE = """## Beside real data
+
+Real figures are computed by the same code from real files (KITTI odometry 06; one nuScenes key frame of six
+pictures; the CAN bus of four nuScenes scenes) or, for motion, taken from 135 trajectories of nuScenes' validation
+split. **Bold** figures lie outside their band. Motion: within {relative:.0f} % of the real figure or a small absolute
+difference (0.5 m/s, 0.5 deg/s, 0.15 m/s², 10 m, 10 deg, 0.05 of a share). Everything else: within the range of the
+real values, widened on both sides by {widened:.0f} % of its width.
+"""
+
+PICTURES = """### Single pictures
+
+ORB corners (FAST threshold 12) per 800 x 450 pixels; share of 6 x 10 cells without a corner; slope of the log power
+spectrum over log frequency; share of the 1,500 strongest corners found again after a small known warp, darkening
+and noise; share of correct matches between the two, and their median Hamming distance. Pictures of 1600 x 900 are
+halved."""
+
+PAIRS = """### Two pictures in a row
+
+OpenCV alone: 1,500 ORB corners per 800 x 450 pixels, mutual matches with a ratio test of 0.8, and one essential
+matrix by MAGSAC at 1 px. Pairs 0.1 s and 0.8 to 1.6 m apart (KITTI: 0.1 s, 1.2 m), by day. No consecutive real
+pictures of side or rear cameras were at hand, so only the front camera is judged. Flow is scaled to a focal length
+of 633 px."""
+
+MOTION = """### Motion
+
+{frames:,} written poses of {scenes} scenes. As on the real side twelve frames count as one second, and windows that
+start at any frame are pooled. Quantiles of single scenes rest on few values: the outermost ones are nearly
+extremes."""
+
+INTERVALS = """### Frame intervals
+
+Real: CAM_FRONT of two scenes, key frames of ten, images per scene of 135. Nothing is judged here: the pattern is
+copied on purpose."""
+
+SENSORS = """### CAN bus
+
+Against the 50 Hz `pose` message, as on real files, where it equals the ground truth; scenes that move at least 20
+m. Noise of the gyro includes that of the pose and the vibration of the car. `leads`: the sensor is earlier than the
+pose. `accel`: with gravity; wheel radius: by the `pose` speed, or from the distance between positions; spread of
+radii: among the four wheels, which turning contributes to. `production` is an addition without a real counterpart."""
+
+DIFFERENCES = """Beyond figures:
+
+* Nobody walks or cycles; traffic lights stand at the corners but rule nobody. Vehicles are of four kinds and leave
+  their lane only to pass one that stands in it.
+* Streets form a grid of straight, level roads with right-hand traffic: no bends, hills, bridges, tunnels or
+  motorways, and one style of architecture. Gentle turns come from passing vehicles and from wandering in the lane.
+* The lens is a pinhole without distortion (nuScenes images are undistorted as well), the shutter is global.
+* In rain the road mirrors what the picture shows and vehicles throw up spray; no drops fall and none stick to the
+  lens.
+* Only the body's motion shakes the cameras; the rig does not bend.
+* Paints, facades and vehicle shapes repeat between logs, in other places and other light; lettering on one side of
+  trucks and on the backs of signs is mirrored.
+* Two cars, whose constants vary from log to log; real fleets differ more.
+"""
+
+OUTCOMES = """## Outcomes that nobody fitted
+
+The project's experts on {scenes} scenes by day and in rain (the paper left night out), beside the paper's figures.
+The paper's come from ORB-SLAM2 on real images; its experts and ours differ, so agreement is not the aim: the
+figures tell how hard this city is for the experts that are recorded here.
+"""
+
+LOST = """### Lost tracks
+
+Per scene, mean ± standard deviation over scenes. A camera that has lost track must initialise before it can be lost
+again; with instant re-initialisation every failure counts (see [metrics](metrics.md#lost-tracks))."""
+
+YAW = """### Yaw increments
+
+Over each camera's own image windows while it tracks, against the poses at these times: absolute error (median), error
+(RMS), slope against the truth in turns above 5 deg/s, and the size of the error that adds up over a scene of 20 s,
+median and 90 % quantile over scenes (and cameras, in the last line). Errors of the written poses are part of it."""
+
+BEST = """### Which camera is locally best
+
+Eq. 2 of the paper: the camera whose yaw increment is nearest the truth, at each camera's own times against the
+poses at these times; moving steps (0.2 m/s), ties split, a camera that does not track cannot be best. Turning:
+above 5 deg/s. If all were equally good, each would be best in 25 %. Errors of the written poses (which all cameras
+share only in part) push shares towards that; the last column uses the noise-free truth at the ends of the steps
+instead."""
+
+BY_SITUATION = """### By situation
+
+Lost tracks per scene, and the share of moving steps at which each camera is locally best."""
+
+MOVERS = """### Matches on moving vehicles
+
+Figure 3 of the paper shows a side view in which moving cars capture RANSAC; it gives no number. Here the simulator
+knows the boxes of all vehicles that move (0.5 m/s) and are not behind houses. Pairs of consecutive images of which
+movers cover at least 5 %: share of matches and of inliers inside the boxes in both images, for plain five-point
+RANSAC and for the project's odometry, which knows distance, mounting and ground. Captured: more than half of the
+inliers."""

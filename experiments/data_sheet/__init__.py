@@ -1,1 +1,0 @@
-"""The data sheet of the simulated city: ``python -m experiments.data_sheet``."""

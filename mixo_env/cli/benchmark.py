@@ -1,0 +1,81 @@
+"""`mixo benchmark`: the leaderboard."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from mixo_env.leaderboard.board import Leaderboard
+
+
+@dataclass(frozen=True)
+class Benchmark:
+    """Cross-validated leaderboard of all policies, one table per track.
+
+    Worked examples:
+
+      mixo benchmark                                    everything on the bundled recordings
+      mixo benchmark --recordings recorded              on your own, from `mixo record`
+      mixo benchmark --tracks CONSUMER --policies LINEAR MIXO highest-match
+    """
+
+    recordings: Path | None = None
+    """Folder written by `mixo record`, or the name of a bundled recording. None: the bundled mixocity."""
+
+    tracks: tuple[str, ...] = ("PAPER", "VISION", "CONSUMER")
+    """Who votes besides the cameras; every track has a table of its own."""
+
+    policies: tuple[str, ...] = ()
+    """Rows to run; case, hyphens and underscores do not matter. Empty: all."""
+
+    seed: int = 0
+    """Of everything random: same seed, same machine, same numbers."""
+
+    out: Path | None = None
+    """Folder for the results. None: results/benchmark-<date>-<time>, and results/latest points there."""
+
+    def run(self) -> int:
+        """Print the leaderboard and write it, with figure, per-scene results and configuration."""
+        from rich.console import Console
+
+        from mixo_env.cli.results import point_latest, run_folder, write_json, write_text
+        from mixo_env.leaderboard.board import build
+        from mixo_env.leaderboard.figures import draw_trajectories
+        from mixo_env.leaderboard.report import print_leaderboard, to_csv, to_json, to_markdown
+        from mixo_env.recordings.store import load_recordings
+
+        recordings = load_recordings(None if self.recordings is None else str(self.recordings))
+        with Console(stderr=True).status("") as status:
+            board = build(
+                recordings, tracks=self.tracks, policies=self.policies, seed=self.seed, progress=status.update
+            )
+        folder = run_folder("benchmark", self.out)
+        write_json(folder / "configuration.json", self._resolved(board))
+        write_text(folder / "leaderboard.md", to_markdown(board))
+        write_json(folder / "leaderboard.json", to_json(board))
+        write_text(folder / "scenes.csv", to_csv(board))
+        draw_trajectories(board, folder / "trajectories.png")
+        point_latest(folder)
+        print_leaderboard(board)
+        print(f"Saved in {folder}: leaderboard.md, leaderboard.json, scenes.csv, trajectories.png, configuration.json")
+        return 0
+
+    def _resolved(self, board: Leaderboard) -> dict[str, Any]:
+        """Everything that made the numbers."""
+        from importlib.metadata import version
+
+        from mixo_env.recordings.store import DEFAULT_RECORDINGS
+
+        packages = ("mixo-env", "numpy", "torch", "stable-baselines3", "gymnasium")
+        return {
+            "command": "benchmark",
+            "recordings": str(self.recordings or DEFAULT_RECORDINGS),
+            "tracks": [table.track for table in board.tables],
+            "policies": list(board.policies),
+            "seed": self.seed,
+            "data_version": board.recordings.manifest.data_version,
+            "scenes": {scene.name: scene.values_hash for scene in board.recordings.scenes},
+            "software": {package: version(package) for package in packages},
+        }

@@ -1,0 +1,74 @@
+"""The console script ``mixo``: one subcommand per module of this package."""
+
+from __future__ import annotations
+
+import logging
+import sys
+from typing import Protocol
+
+DESCRIPTION = """MixoOdometry: how much to trust each camera of a car's rig.
+
+`mixo benchmark` needs nothing; `mixo COMMAND --help` shows worked examples. Exit codes: 0 good, 1 something wrong in
+the data, 2 wrong usage. `-v` says more about what happens.
+"""
+
+
+class Command(Protocol):
+    """A frozen dataclass whose fields are the command line."""
+
+    def run(self) -> int:
+        """Do the work and return the exit code: 0 good, 1 something wrong in the data, 2 wrong usage."""
+        ...
+
+
+def commands() -> dict[str, type]:
+    """Subcommand name -> dataclass. Importing them must stay cheap: `mixo --help` is instant."""
+    from mixo_env.cli.benchmark import Benchmark
+    from mixo_env.cli.evaluate import Evaluate
+    from mixo_env.cli.import_ import Import
+    from mixo_env.cli.inspect import Inspect
+    from mixo_env.cli.record import Record
+    from mixo_env.cli.simulate import Simulate
+    from mixo_env.cli.train_vocabulary import TrainVocabulary
+
+    return {
+        "benchmark": Benchmark,
+        "simulate": Simulate,
+        "inspect": Inspect,
+        "record": Record,
+        "import": Import,
+        "evaluate": Evaluate,
+        "train-vocabulary": TrainVocabulary,
+    }
+
+
+def main(argv: list[str] | None = None) -> int:
+    """Parse ``argv`` (default: the process arguments), run the command, return its exit code."""
+    import tyro
+
+    from mixo_env.errors import ConfigurationError, MixoError
+
+    arguments = sys.argv[1:] if argv is None else argv
+    verbose = "-v" in arguments
+    logging.basicConfig(format="%(message)s", level=logging.INFO if verbose else logging.WARNING)
+    try:
+        command: Command = tyro.extras.subcommand_cli_from_dict(
+            commands(),
+            prog="mixo",
+            description=DESCRIPTION,
+            args=[argument for argument in arguments if argument != "-v"],
+        )
+        return command.run()
+    except ConfigurationError as error:
+        print(f"mixo: {error}", file=sys.stderr)
+        return 2
+    except MixoError as error:
+        print(f"mixo: {error}", file=sys.stderr)
+        return 1
+    except KeyboardInterrupt:
+        print("mixo: interrupted; finished scenes are kept and a rerun continues", file=sys.stderr)
+        return 130
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,56 @@
+"""Privileged policies that read the true yaw rate: what perfect choosing could gain."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mixo_env.policies.policy import Observation, Policy, Weights
+
+
+class MulticameraGT(Policy):
+    """The camera whose increment is nearest the truth (eq. 2 as a policy; the paper's row of this name).
+
+    Only cameras with an increment of their own can be chosen; when none has one, any of them holds the substitute.
+    """
+
+    name = "MULTICAMERA GT"
+    privileged = True
+
+    def act(self, observation: Observation) -> Weights:
+        """One-hot rows ``(batch, experts)``."""
+        cameras = observation["matches"].shape[1]
+        error = np.abs(observation["yaw_rates"] - observation["truth_yaw_rate"])[:, :cameras]
+        error = np.where(observation["available"][:, :cameras] > 0, error, np.inf)
+        return np.eye(observation["yaw_rates"].shape[1])[np.argmin(error, axis=1)]
+
+
+class OracleAll(Policy):
+    """The voter nearest the truth, the inertial expert and substitutes included."""
+
+    name = "ORACLE ALL"
+    privileged = True
+
+    def act(self, observation: Observation) -> Weights:
+        """One-hot rows ``(batch, experts)``."""
+        error = np.abs(observation["yaw_rates"] - observation["truth_yaw_rate"])
+        return np.eye(error.shape[1])[np.argmin(error, axis=1)]
+
+
+class OracleHull(Policy):
+    """The truth clipped to the interval the voters span: what the best convex mixture could reach."""
+
+    name = "ORACLE HULL"
+    privileged = True
+
+    def act(self, observation: Observation) -> Weights:
+        """Rows ``(batch, experts)``: the lowest and the highest voter share the weight."""
+        rates = observation["yaw_rates"].astype(np.float64)
+        row = np.arange(len(rates))
+        low, high = np.argmin(rates, axis=1), np.argmax(rates, axis=1)
+        span = rates[row, high] - rates[row, low]
+        above = observation["truth_yaw_rate"][:, 0] - rates[row, low]
+        share = np.clip(np.divide(above, span, out=np.zeros_like(span), where=span > 0), 0.0, 1.0)
+        weights = np.zeros(rates.shape)
+        weights[row, high] += share
+        weights[row, low] += 1.0 - share
+        return weights

@@ -1,0 +1,38 @@
+"""Playing a policy through recorded scenes, and the table of what it saw: the training data of learned policies."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixo_env.envs.replay import Replay
+from mixo_env.policies.policy import Observation, Policy
+from mixo_env.recordings.collection import Recordings
+
+
+def play(policy: Policy, replay: Replay) -> Iterator[tuple[NDArray[np.bool_], Observation]]:
+    """Drive all scenes of ``replay`` in lockstep, once, to the end of the longest.
+
+    Yields:
+        After each step: which scenes took it, ``(scenes,)``, and what the policy saw before it.
+    """
+    replay.reset(np.arange(len(replay)))
+    policy.reset(len(replay))
+    while not replay.done.all():
+        active = ~replay.done
+        observation = replay.observe()
+        replay.step(policy.act(observation))
+        yield active, observation
+
+
+def collect(recordings: Recordings, track: str, policy: Policy) -> Observation:
+    """What ``policy`` sees at every step of training scenes, with ``truth_yaw_rate``, for other policies to learn from.
+
+    Returns:
+        Name -> ``(steps, width)``, step by step, the scenes of a step in order.
+    """
+    replay = Replay(recordings, track=track, privileged=True)
+    seen = [{name: values[active] for name, values in look.items()} for active, look in play(policy, replay)]
+    return {name: np.concatenate([look[name] for look in seen]) for name in seen[0]}

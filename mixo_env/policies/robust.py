@@ -1,0 +1,108 @@
+"""Rules that trust the majority: MEAN, MEDIAN and the Huber M-estimate."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixo_env.policies.policy import Observation, Policy, Weights
+from mixo_env.recordings.collection import Recordings
+
+EFFICIENCY_95 = 1.345
+"""Residual, in standard deviations, beyond which Huber's loss grows linearly: 95 % efficient on Gaussian errors."""
+ITERATIONS = 8
+SMALLEST_SCALE_RAD = 1e-6
+"""Keeps weights finite when an expert is exact on the training scenes."""
+MAD_TO_STD = 1.4826
+
+
+def votes(observation: Observation) -> NDArray[np.bool_]:
+    """Who counts, ``(batch, experts)``: experts with an increment of their own; all of them when nobody has one.
+
+    A lost expert's substitute is the inertial increment, identical for all lost experts. The inertial expert casts that
+    vote where it takes part; where it does not, it only bridges the steps in which everything is lost.
+    """
+    available = observation["available"] > 0
+    return available | ~available.any(axis=1, keepdims=True)
+
+
+def median_weights(values: NDArray[np.floating[Any]], voting: NDArray[np.bool_]) -> Weights:
+    """Weights ``(batch, n)`` that make the median of the voting ``values``; of an even count, the middle two share."""
+    order = np.argsort(np.where(voting, values, np.inf), axis=1, kind="stable")
+    count = voting.sum(axis=1)
+    row = np.arange(len(values))
+    weights = np.zeros(values.shape)
+    weights[row, order[row, (count - 1) // 2]] += 0.5
+    weights[row, order[row, count // 2]] += 0.5
+    return weights
+
+
+def error_scale_rad(recordings: Recordings, expert: str) -> float:
+    """1.4826 x the median absolute error of the expert's own increments; infinite when it never delivered one."""
+    error = recordings[f"{expert}.yaw_increment_rad"] - recordings["truth.yaw_increment_rad"]
+    error = error[np.isfinite(error)]
+    return max(MAD_TO_STD * float(np.median(np.abs(error))), SMALLEST_SCALE_RAD) if len(error) else np.inf
+
+
+class Mean(Policy):
+    """Equal weight for every vote."""
+
+    name = "MEAN"
+
+    def act(self, observation: Observation) -> Weights:
+        """Rows ``(batch, experts)`` that sum to one."""
+        voting = votes(observation)
+        return voting / voting.sum(axis=1, keepdims=True)
+
+
+class Median(Policy):
+    """The median of the votes."""
+
+    name = "MEDIAN"
+
+    def act(self, observation: Observation) -> Weights:
+        """Rows ``(batch, experts)`` that sum to one."""
+        return median_weights(observation["yaw_rates"], votes(observation))
+
+
+class Huber(Policy):
+    """Huber's M-estimate of the yaw increment, with one constant error scale per expert.
+
+    Nothing is trained but the scales. Per step, iteratively reweighted least squares from the median (Huber 1981,
+    section 7.8).
+    """
+
+    name = "HUBER"
+    learns = True
+
+    def fit(self, recordings: Recordings, track: str, *, seed: int = 0) -> None:
+        """Measure the scales on the training scenes; an infinite one means no weight."""
+        super().fit(recordings, track)
+        self._scale_rad = np.array([error_scale_rad(recordings, expert) for expert in self.experts])
+
+    def act(self, observation: Observation) -> Weights:
+        """Rows ``(batch, experts)`` that sum to one."""
+        increments = observation["yaw_rates"].astype(np.float64) * observation["dt"]
+        voting = votes(observation)
+        weights = median_weights(increments, voting)
+        # Where only experts of infinite scale vote, the median stands.
+        usable = voting & np.isfinite(self._scale_rad)
+        decided = usable.any(axis=1)
+        for _ in range(ITERATIONS):
+            estimate = np.sum(weights * increments, axis=1, keepdims=True)
+            residual = np.abs(increments - estimate) / self._scale_rad
+            pull = np.where(usable, np.minimum(1.0, EFFICIENCY_95 / np.maximum(residual, EFFICIENCY_95)), 0.0)
+            pull /= self._scale_rad**2
+            weights[decided] = (pull / np.maximum(pull.sum(axis=1, keepdims=True), np.finfo(float).tiny))[decided]
+        return weights
+
+    def tensors(self) -> dict[str, NDArray[Any]]:
+        """The scales."""
+        return {"scale_rad": self._scale_rad}
+
+    def restore(self, tensors: Mapping[str, NDArray[Any]]) -> None:
+        """Take back the scales."""
+        self._scale_rad = tensors["scale_rad"]

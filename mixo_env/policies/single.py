@@ -1,0 +1,36 @@
+"""One expert alone: every camera and every inertial grade."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from mixo_env.policies.policy import Observation, Policy, Weights
+from mixo_env.recordings.collection import Recordings
+
+
+class Single(Policy):
+    """All weight on one expert.
+
+    An expert without a vote in the track (an inertial grade kept as reference line) is appended to the voters.
+    """
+
+    def __init__(self, expert: str) -> None:
+        """Follow ``expert``, which also names the policy."""
+        self.name = expert
+
+    def voters(self, recordings: Recordings, track: str) -> tuple[str, ...]:
+        """The track's voters, then this expert if it is none of them."""
+        voters = recordings.voters(track)
+        return voters if self.name in voters else (*voters, self.name)
+
+    def act(self, observation: Observation) -> Weights:
+        """The same one-hot row for every scene."""
+        weights = np.zeros(observation["yaw_rates"].shape)
+        weights[:, self.experts.index(self.name)] = 1.0
+        return weights
+
+    def settings(self) -> dict[str, Any]:
+        """The expert's name."""
+        return {"expert": self.name}

@@ -1,0 +1,1 @@
+"""Scores of trajectory files: `mixo evaluate`."""
