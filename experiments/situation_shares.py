@@ -20,7 +20,7 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 
-from docs._pages.data_sheet import stored
+from experiments import stored_figures as stored
 from mixo_env.errors import ConfigurationError, MixoError
 from mixo_env.leaderboard.board import ONE_FOLD, Table, build
 from mixo_env.recordings.collection import Recordings

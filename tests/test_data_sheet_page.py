@@ -11,7 +11,6 @@ import cv2
 import numpy as np
 import pytest
 
-from docs._pages.data_sheet import stored
 from docs._pages.data_sheet.__main__ import MEASURED, PAGE, STUDY
 from docs._pages.data_sheet.folder import City, open_city
 from docs._pages.data_sheet.measured import measure
@@ -19,6 +18,7 @@ from docs._pages.data_sheet.motion import recorded_paths
 from docs._pages.data_sheet.page import FIGURES, page
 from docs._pages.data_sheet.real import load_real
 from docs._pages.data_sheet.samples import draw_motion
+from experiments import stored_figures as stored
 from mixo_env.errors import ConfigurationError, DatasetError
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.store import load_recordings

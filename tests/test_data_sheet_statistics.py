@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 import pytest
 
-from docs._pages.data_sheet import comparison, real, stored
+from docs._pages.data_sheet import comparison, real
 from docs._pages.data_sheet.images import evenly, match_pair, pair_statistics
 from docs._pages.data_sheet.motion import (
     Path as Way,
@@ -34,6 +34,7 @@ from docs._pages.data_sheet.outcomes import (
     yaw_errors,
 )
 from docs._pages.data_sheet.sensors import production_gyro_statistics, sensor_statistics
+from experiments import stored_figures as stored
 from mixo_env.errors import ConfigurationError, DatasetError
 from mixo_env.geometry import quaternion_wxyz_from_yaw
 from mixo_env.nuscenes.scene import CameraCalibration

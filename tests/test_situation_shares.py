@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from docs._pages.data_sheet import stored
 from experiments import situation_shares
+from experiments import stored_figures as stored
 from experiments.situation_shares import (
     SCORES,
     Choice,

@@ -37,12 +37,13 @@ class DataSheet:
 
     def run(self) -> int:
         """Measure what there is, and write."""
-        from docs._pages.data_sheet import real, stored
+        from docs._pages.data_sheet import real
         from docs._pages.data_sheet.folder import open_city
         from docs._pages.data_sheet.measured import measure
         from docs._pages.data_sheet.motion import recorded_paths
         from docs._pages.data_sheet.page import FIGURES, page
         from docs._pages.data_sheet.samples import draw_motion
+        from experiments import stored_figures as stored
         from mixo_env.cli.results import write_text
         from mixo_env.recordings.store import load_recordings
 

@@ -13,7 +13,7 @@ from typing import Any
 
 from docs._pages.data_sheet.images import real_pairs, real_pictures
 from docs._pages.data_sheet.sensors import sensor_statistics
-from docs._pages.data_sheet.stored import load, save
+from experiments.stored_figures import load, save
 from mixo_env.nuscenes.can_bus import scenes_with_can_bus
 
 STORED = Path(__file__).parent / "real.json"
