@@ -33,10 +33,10 @@ from docs._pages.odometry_pictures import (
 from mixo_env.experts.expert import CameraStep, State
 from mixo_env.experts.monocular.camera import mount
 from mixo_env.experts.monocular.config import MonocularConfig
-from mixo_env.experts.monocular.kinematics import camera_displacement
 from mixo_env.experts.monocular.pair import PairSolver
 from mixo_env.simulator.vehicles import VEHICLE_KINDS, VehicleState
 from tests.corridor import AXES, HEIGHT, WIDTH, calibration, picture
+from tests.rigid_body import camera_displacement
 
 TURN_RAD, DISTANCE_M = math.radians(1.5), 0.6
 

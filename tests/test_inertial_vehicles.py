@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from mixo_env.errors import RecordingError
+from mixo_env.experts.inertial import grade_inputs
 from mixo_env.fusion import dead_reckon
+from mixo_env.nuscenes.scene import CanBus, Signal
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.schema import VehicleConstants
 from mixo_env.recordings.vehicles import fit_vehicle_constants, travelled_m
@@ -94,3 +96,15 @@ def test_standing_scenes_are_refused():
     columns["truth.distance_m"] = np.zeros_like(columns["truth.distance_m"])
     with pytest.raises(RecordingError, match="vehicle constants need 50"):
         fit_vehicle_constants(Recordings(recordings.manifest, columns), ["n099"])
+
+
+def test_the_speed_is_that_of_the_rear_axle() -> None:
+    """In a turn the front wheels roll a longer way: the reference point is the middle of the rear axle."""
+    time_us = np.arange(0, 1_000_000, 10_000)
+    wheels = np.tile([21.0, 25.0, 18.0, 22.0], (len(time_us), 1))  # front left, front right, rear left, rear right
+    gyro = Signal(time_us, np.full(len(time_us), 0.1))
+    can_bus = CanBus(wheel_speed_radps=Signal(time_us, wheels), imu_yaw_rate_radps=gyro, monitor_yaw_rate_radps=gyro)
+    speed, _ = grade_inputs(can_bus, "INERTIAL")
+    np.testing.assert_allclose(speed.value, 0.305 * 20.0)
+    scaled, _ = grade_inputs(can_bus, "INERTIAL_CONSUMER", 1.01)
+    np.testing.assert_allclose(scaled.value, 1.01 * 0.305 * 20.0)

@@ -12,10 +12,10 @@ from scipy.spatial.transform import Rotation
 
 from mixo_env.experts.monocular.bundle import turn_change
 from mixo_env.experts.monocular.camera import MountedCamera
-from mixo_env.experts.monocular.kinematics import camera_displacement
 from mixo_env.experts.monocular.motion import Motion, MotionPrior
 from mixo_env.experts.monocular.pair import Pair
 from mixo_env.geometry import rotation_from_yaw
+from tests.rigid_body import camera_displacement
 from tests.test_monocular_motion import AXES, CAMERAS, CENTRE, HEIGHT, RATE_HZ, WIDTH, street
 
 GAP_S = 1.0 / RATE_HZ

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from mixo_env.experts.monocular.course import Course
-from mixo_env.experts.monocular.kinematics import camera_displacement
 from mixo_env.experts.monocular.motion import Motion, MotionPrior, estimate_motion
 from mixo_env.geometry import rotation_from_yaw
+from tests.rigid_body import camera_displacement
 from tests.test_monocular_motion import AXES, street
 
 FOCAL, DISTANCE, LEVER = 630.0, 0.8, np.array([1.0, -0.5, 1.5])
@@ -95,3 +95,37 @@ def test_a_turn_widens_the_slip_and_teaches_less() -> None:
         taught.append(course.expect(wide, 0.0))
     assert 0.0 > taught[1].slip_mean > taught[0].slip_mean
     assert taught[1].heave_std == taught[0].heave_std
+
+
+@pytest.mark.parametrize("distance", [DISTANCE, -DISTANCE])
+def test_shares_keep_their_sign_in_reverse(distance: float) -> None:
+    """Slip and heave are shares of the way: a car in reverse slips the other way and its camera sinks where it rose."""
+    course = Course(0.05, 0.006)
+    slip, heave = -0.012, 0.02
+    for _ in range(60):
+        prior = course.expect(MotionPrior(distance, 0.1, 0.001), 0.0)
+        course.learn(measured(slip * distance, heave * distance, 0.002), prior, 0.0)
+    learnt = course.expect(MotionPrior(DISTANCE, 0.1, 0.001), 0.0)
+    assert learnt.slip_mean == pytest.approx(slip, abs=0.001)
+    assert learnt.heave_mean == pytest.approx(heave, abs=0.001)
+    expected_m, _ = course.expect(MotionPrior(-DISTANCE, 0.1, 0.001), 0.0).offset()
+    assert expected_m == pytest.approx([-slip * DISTANCE, -heave * DISTANCE], abs=0.001)
+
+
+@pytest.mark.parametrize("distance", [DISTANCE, -DISTANCE])
+def test_a_side_view_finds_slip_and_heave_forwards_and_in_reverse(distance: float) -> None:
+    """Points seen while the camera slips and rises by known shares: solved and learnt with their signs."""
+    rng, slip, heave, course = np.random.default_rng(3), -0.02, 0.03, Course(0.05, 0.006)
+    for _ in range(25):
+        before = street(rng, 250, FOCAL, SIDE)
+        after = before - [distance, slip * distance, heave * distance]
+        seen = [points @ SIDE for points in (before, after)]
+        ahead = (seen[0][:, 2] > 1.0) & (seen[1][:, 2] > 1.0)
+        first, second = (points[ahead, :2] / points[ahead, 2:] for points in seen)
+        prior = course.expect(MotionPrior(distance, 0.08, 0.05 / FOCAL), 0.0)
+        solved = estimate_motion(first, second, SIDE, LEVER, prior)
+        assert solved is not None
+        course.learn(solved, prior, 0.0)
+    learnt = course.expect(MotionPrior(distance, 0.08, 0.001), 0.0)
+    assert learnt.heave_mean == pytest.approx(heave, abs=0.006)
+    assert learnt.slip_mean == pytest.approx(slip, abs=0.006)

@@ -7,9 +7,10 @@ import math
 import numpy as np
 import pytest
 
-from mixo_env.experts.monocular.kinematics import camera_displacement
+from mixo_env.experts.monocular import kinematics
 from mixo_env.experts.monocular.motion import MotionPrior, estimate_motion
 from mixo_env.geometry import rotation_from_yaw
+from tests.rigid_body import camera_displacement
 
 AXES = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])  # ego from camera, looking forward
 WIDTH, HEIGHT, CENTRE, RATE_HZ = 1600.0, 900.0, (816.0, 491.0), 12.0
@@ -164,3 +165,34 @@ def test_degenerate_input_never_raises() -> None:
         same = np.zeros((count, 2))
         solved = estimate_motion(same, same, AXES, lever, prior)
         assert solved is None or np.isfinite(solved.yaw_rad)
+
+
+@pytest.mark.parametrize("distance", [0.8, -0.8, 0.0])
+@pytest.mark.parametrize("yaw", [0.0, 1e-5, 0.02, -0.3])
+def test_the_displacement_of_a_camera_is_that_of_a_rigid_body(yaw: float, distance: float) -> None:
+    """Against circles (tests/rigid_body.py): chord, lever arm and their signs, forwards and in reverse."""
+    for lever in ((1.7, 0.0), (1.0, 0.5), (1.0, -0.5), (-0.3, 0.9)):
+        found = kinematics.camera_displacement(yaw, distance, *lever)
+        assert found == pytest.approx(camera_displacement(yaw, distance, *lever), abs=1e-10)
+
+
+def test_a_quarter_circle_by_hand() -> None:
+    """Radius 5 m to the left: the axle goes by (5, 5); a camera 1 m ahead and 2 m to the left of it by (2, 4)."""
+    assert camera_displacement(math.pi / 2, 2.5 * math.pi, 1.0, 2.0) == pytest.approx((2.0, 4.0))
+    assert kinematics.camera_displacement(math.pi / 2, 2.5 * math.pi, 1.0, 2.0) == pytest.approx((2.0, 4.0))
+
+
+def test_the_residual_is_that_of_the_noise() -> None:
+    """The error across the epipolar line is shared by both images: the median of its size is 0.6745 sigma of one."""
+    rng, sigma = np.random.default_rng(5), 0.5 / 1266.0
+    rotation, lever = rotation_from_yaw(0.0) @ AXES, np.array([1.7, 0.0, 1.5])
+    before = street(rng, 600, 1266.0, rotation)
+    after = before - [0.8, 0.0, 0.0]
+    seen = [points @ rotation for points in (before, after)]
+    ahead = (seen[0][:, 2] > 1.0) & (seen[1][:, 2] > 1.0)
+    first, second = (
+        points[ahead, :2] / points[ahead, 2:] + rng.normal(0.0, sigma, (int(ahead.sum()), 2)) for points in seen
+    )
+    solved = estimate_motion(first, second, rotation, lever, MotionPrior(0.8, 0.05, sigma))
+    assert solved is not None
+    assert solved.residual == pytest.approx(0.6745 * sigma, rel=0.12)

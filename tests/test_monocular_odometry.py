@@ -5,7 +5,9 @@ from __future__ import annotations
 import itertools
 import math
 import os
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -13,11 +15,12 @@ import pytest
 
 from mixo_env.errors import ConfigurationError, DatasetError
 from mixo_env.experts.expert import CameraStep, State
+from mixo_env.experts.monocular import pair
 from mixo_env.experts.monocular.config import MonocularConfig
-from mixo_env.experts.monocular.kinematics import camera_displacement
 from mixo_env.experts.monocular.odometry import MonocularOdometry
 from mixo_env.nuscenes.scene import CameraCalibration
 from tests.corridor import AXES, HEIGHT, WIDTH, calibration, picture
+from tests.rigid_body import camera_displacement
 
 STEP_US, DT_S = 83_333, 0.083333
 
@@ -235,3 +238,20 @@ def test_real_road(capsys: pytest.CaptureFixture[str]) -> None:
         )
     assert np.median(np.abs(error)) < 0.02
     assert rms < rms_still
+
+
+def test_the_residual_is_reported_in_pixels_of_the_full_image(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Motions come on the image plane (unit focal length); what is recorded is that times the focal length."""
+    camera = calibration(0.0)
+    solve = pair.estimate_motion
+
+    def with_known_residual(*arguments: Any) -> Any:
+        found = solve(*arguments)
+        return None if found is None else replace(found, residual=0.001)
+
+    monkeypatch.setattr(pair, "estimate_motion", with_known_residual)
+    odometry = MonocularOdometry(camera)
+    odometry.process(picture(camera, 0.0, 0.0, 0.0), 1_000_000, 0.0)
+    step = odometry.process(picture(camera, 0.4, 0.0, 0.0, 1), 1_083_333, 0.4)
+    focal = 0.5 * (camera.intrinsic[0, 0] + camera.intrinsic[1, 1])
+    assert step.residual_px == pytest.approx(0.001 * focal)

@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from mixo_env.experts.expert import CameraStep, State
-from mixo_env.experts.monocular.kinematics import camera_displacement
 from mixo_env.experts.monocular.motion import Motion, MotionPrior, estimate_motion
 from mixo_env.experts.monocular.odometry import MonocularOdometry
 from mixo_env.experts.monocular.pair import Pair, PairSolver
 from mixo_env.experts.monocular.turn import Turn
 from mixo_env.geometry import rotation_from_yaw
 from tests.corridor import FOCAL, HEIGHT, WIDTH, calibration
+from tests.rigid_body import camera_displacement
 from tests.test_monocular_motion import matched_pair, street
 from tests.test_monocular_odometry import drive
 

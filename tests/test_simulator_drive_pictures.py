@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,9 +15,9 @@ from mixo_env.nuscenes.tables import open_dataset
 from mixo_env.simulator import dataset
 from mixo_env.simulator.config import SimulationConfig, SituationShares
 from mixo_env.simulator.dataset import simulate
-from mixo_env.simulator.render import Renderer
+from mixo_env.simulator.render import CameraPose, Renderer
 from mixo_env.simulator.scenario import plan_logs
-from mixo_env.simulator.scenes import camera_pose, scene_drive
+from mixo_env.simulator.scenes import camera_pose, pictures, scene_drive, simulate_scene
 from mixo_env.simulator.vehicles import VEHICLE_KINDS, VehicleState
 from mixo_env.simulator.world import build_world
 
@@ -81,3 +83,37 @@ def test_every_row_of_the_tables_has_its_picture(renderer, tmp_path, monkeypatch
     simulate(config, tmp_path / "again")
     for path in (tmp_path / "city").rglob("*.jpg"):
         assert path.read_bytes() == (tmp_path / "again" / path.relative_to(tmp_path / "city")).read_bytes()
+
+
+class ShutterWatch:
+    """Stands in for the renderer and notes what it is asked to show."""
+
+    def __init__(self, shutter_s: float) -> None:
+        self.weather = SimpleNamespace(shutter_s=shutter_s)
+        self.asked: list[tuple[CameraPose, CameraPose, list[VehicleState]]] = []
+
+    def render(self, _: object, start: CameraPose, end: CameraPose, vehicles: list[VehicleState], **__: object) -> Any:
+        self.asked.append((start, end, vehicles))
+        return SimpleNamespace(image=None, gain=1.0)
+
+
+def test_vehicles_stand_where_they_are_in_the_middle_of_the_exposure(tmp_path):
+    """The camera moves from the opening to the closing of the shutter; a picture shows its middle, of vehicles too."""
+    log = plan_logs(CONFIG)[0]
+    plan = log.scenes[0]
+    simulated = simulate_scene(CONFIG, log, plan, tmp_path)
+    moving = SimpleNamespace(state=lambda time_s: VehicleState("van", 0, 20.0 * time_s, 0.0, 0.0))
+    watch = ShutterWatch(0.018)
+    for _ in pictures(CONFIG, log, plan, replace(simulated, vehicles=(moving,)), watch):  # type: ignore[arg-type]
+        pass
+    frames = [simulated.times.cameras[channel] for channel in CONFIG.cameras]
+    opens_s = [(int(us) - plan.start_us) / 1e6 for camera in frames for us in camera.exposure_us]
+    assert len(watch.asked) == len(opens_s) > 20
+    camera = log.rig.true[CONFIG.cameras[0]]
+    for (start, end, (van,)), open_s in zip(watch.asked, opens_s, strict=True):
+        assert van.x_m == pytest.approx(20.0 * (open_s + 0.009), abs=1e-9)
+        if start is watch.asked[0][0]:
+            mounting = camera.rotation_ego_from_camera, camera.translation_m
+            for pose, time_s in ((start, open_s), (end, open_s + 0.018)):
+                expected = camera_pose(simulated.drive, *mounting, time_s)
+                np.testing.assert_allclose(pose.position_m, expected.position_m)

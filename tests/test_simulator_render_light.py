@@ -132,6 +132,20 @@ def test_wet_road_mirrors_what_stands_on_it() -> None:
     assert images[1.0][row, 10].mean() < images[0.0][row, 10].mean()  # elsewhere darker than dry
 
 
+@pytest.mark.parametrize("wetness", [0.5, 1.0])
+def test_wet_ground_sends_back_half_the_light(wetness: float) -> None:
+    """Under a black sky and at one's feet, where water hardly mirrors: the tone curve is nearly a square root."""
+    ground = Surface(0, (16.0, 16.0), detail=0.0, material=GROUND)
+    road = quad(ground, (-100.0, 100.0, 0.0), (200.0, 0.0, 0.0), (0.0, -200.0, 0.0))
+    world, calibration = world_of([plain_texture(90, 90, 90)], [road]), camera("CAM_FRONT")
+    at = pose(calibration, 0.0, 0.0, 0.0)
+    dry, wet = (
+        Renderer(world, dataclasses.replace(FLAT, wetness=share)).render(calibration, at, at, gain=1.0).image[-10, 160]
+        for share in (0.0, wetness)
+    )
+    assert (wet / dry.astype(float)) ** 2 == pytest.approx(1.0 - 0.5 * wetness, rel=0.08)
+
+
 def test_spray_hides_part_of_a_wall_behind_a_fast_vehicle() -> None:
     from mixo_env.simulator.rain import add_spray, spray_puffs
 
