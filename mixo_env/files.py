@@ -95,4 +95,6 @@ def _cannot_write(path: Path, error: OSError | ValueError) -> OutputError:
     reason = (error.strerror if isinstance(error, OSError) else None) or str(error)
     if code in (errno.EEXIST, errno.ENOTDIR, errno.EISDIR):
         reason = f"{reason.lower()}; something else is in the way"
-    return OutputError(f"cannot write {path}: {reason}; free space, set permissions or choose another folder")
+    return OutputError(
+        f"cannot write {path}: {reason}; free space, set permissions or choose another folder, then run again"
+    )

@@ -24,12 +24,16 @@ def test_a_file_is_written_whole_with_its_folders(tmp_path):
 def test_a_failed_write_keeps_the_old_file_and_leaves_nothing(tmp_path):
     path = tmp_path / "a.txt"
     write_text(path, "old")
-    with pytest.raises(KeyError), atomic_path(path) as temporary:
-        temporary.write_text("half")
-        raise KeyError
-    with pytest.raises(OutputError, match=r"cannot write .*a\.txt: No space left"), atomic_path(path) as temporary:
-        temporary.write_text("half")
-        raise OSError(28, os.strerror(28))
+
+    def fail(error: Exception) -> None:
+        with atomic_path(path) as temporary:
+            temporary.write_text("half")
+            raise error
+
+    with pytest.raises(KeyError):
+        fail(KeyError())
+    with pytest.raises(OutputError, match=r"cannot write .*a\.txt: No space left"):
+        fail(OSError(28, os.strerror(28)))
     assert path.read_text() == "old"
     assert [file.name for file in tmp_path.iterdir()] == ["a.txt"]
 
