@@ -7,8 +7,8 @@ import math
 from pathlib import Path
 from typing import Any
 
-from mixo_env.cli.results import write_json
 from mixo_env.errors import ConfigurationError
+from mixo_env.files import write_json
 
 DIGITS = 5
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import unicodedata
 from collections.abc import Iterable
 
 
@@ -28,6 +29,24 @@ class TrajectoryError(MixoError):
 
 class PolicyError(MixoError):
     """A policy that does not fit the recordings or the environment it is used on (exit code 1)."""
+
+
+class OutputError(MixoError):
+    """A file or folder that cannot be written: read-only, full, or something in the way (exit code 1)."""
+
+
+def printable(text: str) -> str:
+    r"""Text from data as a terminal may show it: everything that would act instead of being seen is spelt out.
+
+    Control characters (line ends too), direction marks and other invisible format characters, line and paragraph
+    separators, and halves of surrogate pairs become ``\x1b``, ``\u202e`` and so on; all other text stays as it is.
+    """
+    return "".join(
+        character.encode("unicode_escape").decode("ascii")
+        if (category := unicodedata.category(character))[0] == "C" or category in ("Zl", "Zp")
+        else character
+        for character in text
+    )
 
 
 def unknown(kind: str, name: object, valid: Iterable[str]) -> str:

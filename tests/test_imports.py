@@ -29,6 +29,7 @@ FLOORS = (
     "mixo_env.tables",
     "mixo_env.fusion",
     "mixo_env.geometry",
+    "mixo_env.files",
     "mixo_env.errors",
 )
 

@@ -11,9 +11,9 @@ import pytest
 import simplejpeg
 
 from experiments.mixocity import CONFIG, DATA_VERSION
+from mixo_env.files import write_bytes
 from mixo_env.nuscenes.scene import CameraTrack
 from mixo_env.nuscenes.tables import open_dataset
-from mixo_env.nuscenes.writer import write_bytes
 from mixo_env.recordings.record import RecordConfig, default_experts
 from mixo_env.recordings.steps import record_scene
 from mixo_env.recordings.store import load_recordings

@@ -11,7 +11,8 @@ import cv2
 import numpy as np
 import pytest
 
-from mixo_env.errors import DatasetError
+from mixo_env.errors import DatasetError, OutputError
+from mixo_env.files import write_bytes
 from mixo_env.geometry import rotation_from_quaternion_wxyz, wrap_angle_rad
 from mixo_env.nuscenes.scene import CameraCalibration, CameraTrack, Scene
 from mixo_env.nuscenes.tables import open_dataset
@@ -21,7 +22,6 @@ from mixo_env.nuscenes.writer import (
     image_name,
     scene_tables,
     token,
-    write_bytes,
     write_can_bus,
     write_tables,
 )
@@ -197,5 +197,5 @@ def test_inconsistent_scenes_are_refused(tmp_path):
 
 def test_unwritable_places_are_named(tmp_path):
     (tmp_path / "file").write_bytes(b"")
-    with pytest.raises(DatasetError, match=r"cannot write .*file/inside"):
+    with pytest.raises(OutputError, match=r"cannot write .*file/inside"):
         write_bytes(tmp_path / "file" / "inside", b"1")

@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mixo_env.errors import ConfigurationError, DatasetError
+from mixo_env.errors import ConfigurationError, DatasetError, OutputError
+from mixo_env.files import atomic_path
 from mixo_env.geometry import wrap_angle_rad
 from mixo_env.nuscenes.scene import CameraCalibration
 from mixo_env.nuscenes.selections import ALL_CAMERAS, CAMERAS
@@ -151,19 +152,17 @@ def test_another_configuration_or_foreign_folder_is_refused(folder, tmp_path):
 
 
 def test_a_full_disk_gives_one_clear_line_and_no_half_file(tmp_path, monkeypatch):
-    def full(self: Path, content: bytes) -> int:
-        with self.open("wb") as file:
-            file.write(content[: len(content) // 2])
-        raise OSError(28, "No space left on device")
+    def write(path: Path, content: bytes) -> None:
+        with atomic_path(path) as part:
+            part.write_bytes(content)
+            if "scene-2002_pose" in path.name:
+                raise OSError(28, "No space left on device")
 
     out = tmp_path / "city"
-    simulate_ok = Path.write_bytes
-    monkeypatch.setattr(
-        Path, "write_bytes", lambda p, c: full(p, c) if "scene-2002_pose" in p.name else simulate_ok(p, c)
-    )
-    with pytest.raises(DatasetError, match=r"cannot write .*scene-2002_pose\.json: No space left on device.*run again"):
+    monkeypatch.setattr("mixo_env.nuscenes.writer.write_bytes", write)
+    with pytest.raises(OutputError, match=r"cannot write .*scene-2002_pose\.json: No space left on device.*run again"):
         simulate(TINY, out)
-    assert not list(out.rglob("*.part"))
+    assert not list(out.rglob(".part-*"))
     assert not (out / "parts" / "scene-2002.json").exists()
     assert (out / "parts" / "scene-2001.json").exists()
 

@@ -12,6 +12,7 @@ from mixo_env import ENVIRONMENTS
 from mixo_env.envs.budget import MixoOdometryBudgetEnv
 from mixo_env.envs.observation import Quantity
 from mixo_env.envs.odometry import MixoOdometryEnv
+from mixo_env.files import write_text
 
 PAGE = Path(__file__).parents[1] / "environment.md"
 
@@ -45,5 +46,5 @@ def page() -> str:
 
 
 if __name__ == "__main__":
-    PAGE.write_text(page(), encoding="utf-8")
+    write_text(PAGE, page())
     print(f"wrote {PAGE}")

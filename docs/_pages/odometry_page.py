@@ -24,13 +24,14 @@ from numpy.typing import NDArray
 
 from docs._pages.odometry_pictures import NEAREST_M, PairView, Track, compare, draw_frames, draw_pairs, draw_states
 from experiments.speed.drives import Drive, open_drives
-from mixo_env.cli.results import RESULTS, write_text
+from mixo_env.cli.results import RESULTS
 from mixo_env.errors import MixoError
 from mixo_env.experts.expert import CameraStep
 from mixo_env.experts.monocular.camera import mount
 from mixo_env.experts.monocular.config import PRESETS, MonocularConfig
 from mixo_env.experts.monocular.odometry import MonocularOdometry
 from mixo_env.experts.monocular.pair import PairSolver
+from mixo_env.files import write_text
 from mixo_env.nuscenes.scene import CameraCalibration
 from mixo_env.nuscenes.selections import CAMERAS
 from mixo_env.simulator.config import SimulationConfig

@@ -18,7 +18,6 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 
-from mixo_env.cli.results import write_text
 from mixo_env.errors import DatasetError, MixoError
 from mixo_env.experts.inertial import (
     GRADES,
@@ -28,6 +27,7 @@ from mixo_env.experts.inertial import (
     ProcessNoise,
     grade_inputs,
 )
+from mixo_env.files import write_text
 from mixo_env.leaderboard.board import Score, build
 from mixo_env.leaderboard.report import conventions
 from mixo_env.nuscenes.can_bus import read_can_bus

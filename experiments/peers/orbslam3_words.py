@@ -6,7 +6,6 @@ The format: a line ``branches levels scoring weighting``, then a line per node, 
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterable
 from pathlib import Path
 
@@ -15,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixo_env.experts.monocular.vocabulary import nearest_words, train_vocabulary
+from mixo_env.files import write_text
 
 BRANCHES = 10
 _DECLARED_LEVELS = 6  # of the vocabulary that ORB-SLAM3 ships: it matches within the nodes 4 levels above the words
@@ -72,8 +72,6 @@ def train_words(images: Iterable[NDArray[np.uint8]], path: Path, seed: int = 0) 
                     split(child, own, level + 2)
 
     split(0, descriptor, 1)
-    part = path.with_suffix(f".{os.getpid()}.part")
     # No line end after the last node: DBoW2 would read an empty line as one more.
-    part.write_text("\n".join(lines), encoding="ascii")
-    part.replace(path)
+    write_text(path, "\n".join(lines))
     return words

@@ -40,18 +40,19 @@ class Benchmark:
         """Print the leaderboard and write it, with figure, per-scene results and configuration."""
         from rich.console import Console
 
-        from mixo_env.cli.results import point_latest, run_folder, write_json, write_text
+        from mixo_env.cli.results import point_latest, run_folder
+        from mixo_env.files import write_json, write_text
         from mixo_env.leaderboard.board import build
         from mixo_env.leaderboard.figures import draw_trajectories
         from mixo_env.leaderboard.report import print_leaderboard, to_csv, to_json, to_markdown
         from mixo_env.recordings.store import load_recordings
 
+        folder = run_folder("benchmark", self.out)
         recordings = load_recordings(None if self.recordings is None else str(self.recordings))
         with Console(stderr=True).status("") as status:
             board = build(
                 recordings, tracks=self.tracks, policies=self.policies, seed=self.seed, progress=status.update
             )
-        folder = run_folder("benchmark", self.out)
         write_json(folder / "configuration.json", self._resolved(board))
         write_text(folder / "leaderboard.md", to_markdown(board))
         write_json(folder / "leaderboard.json", to_json(board))

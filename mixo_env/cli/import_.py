@@ -39,9 +39,11 @@ class Import:
         """Extend the recording and say how much of it the new expert covers."""
         import numpy as np
 
+        from mixo_env.files import writable_folder
         from mixo_env.recordings.importing import read_trajectories, with_imported
         from mixo_env.recordings.store import load_recordings, save_recordings
 
+        writable_folder(self.out)
         trajectories = read_trajectories(self.trajectories, self.axes)
         extended = with_imported(load_recordings(self.recordings), self.expert, trajectories)
         save_recordings(extended, self.out)

@@ -5,16 +5,19 @@ from __future__ import annotations
 import os
 import time
 from pathlib import Path
-from typing import Any
+
+from mixo_env.files import writable_folder
 
 RESULTS = Path("results")
 
 
 def run_folder(command: str, out: Path | None) -> Path:
-    """The folder of a new run: ``out``, or ``results/<command>-<date>-<time>``; it exists afterwards."""
-    folder = out or RESULTS / f"{command}-{time.strftime('%Y%m%d-%H%M%S')}"
-    folder.mkdir(parents=True, exist_ok=True)
-    return folder
+    """The folder of a new run: ``out``, or ``results/<command>-<date>-<time>``; it exists and takes files.
+
+    Raises:
+        OutputError: when it does not: call this before the work.
+    """
+    return writable_folder(out or RESULTS / f"{command}-{time.strftime('%Y%m%d-%H%M%S')}")
 
 
 def point_latest(folder: Path) -> None:
@@ -25,17 +28,3 @@ def point_latest(folder: Path) -> None:
     part.unlink(missing_ok=True)
     part.symlink_to(folder.resolve().name, target_is_directory=True)
     part.replace(link)
-
-
-def write_text(path: Path, text: str) -> None:
-    """Write a whole file atomically."""
-    part = path.with_name(f".{path.name}.part")
-    part.write_text(text, encoding="utf-8")
-    part.replace(path)
-
-
-def write_json(path: Path, value: Any) -> None:
-    """Write plain values or dataclasses as indented JSON, atomically; what is not a number becomes null."""
-    import msgspec
-
-    write_text(path, msgspec.json.format(msgspec.json.encode(value), indent=2).decode() + "\n")

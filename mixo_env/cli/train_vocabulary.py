@@ -46,18 +46,16 @@ class TrainVocabulary:
         from rich.console import Console
         from rich.progress import track
 
-        from mixo_env.errors import ConfigurationError, DatasetError
+        from mixo_env.errors import ConfigurationError
         from mixo_env.experts.monocular.config import MonocularConfig
         from mixo_env.experts.monocular.vocabulary import train_vocabulary
+        from mixo_env.files import writable_folder
         from mixo_env.nuscenes.tables import open_dataset
         from mixo_env.recordings.vocabularies import scene_descriptors
 
         if not 0.0 < self.share <= 1.0:
             raise ConfigurationError(f"share must be above 0 and at most 1, got {self.share:g}: use e.g. 0.2")
-        try:
-            self.out.parent.mkdir(parents=True, exist_ok=True)  # now, not after minutes of work
-        except OSError as error:
-            raise DatasetError(f"cannot write {self.out} ({error.strerror}): choose another folder") from None
+        writable_folder(self.out.parent)  # now, not after minutes of work
         config = MonocularConfig.preset(self.preset)
         dataset = open_dataset(self.root, self.version)
         console = Console(stderr=True)

@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from mixo_env.envs.observation import median_of_available
 from mixo_env.errors import ConfigurationError, PolicyError
+from mixo_env.files import write_text
 
 FloatArray = NDArray[np.float32]
 AnyEnv = gym.Env[Any, Any] | VectorEnv[Any, Any, Any]
@@ -70,7 +71,7 @@ class Standardise:
     def save(self, path: Path) -> None:
         """Write the statistics as JSON: a policy trained with them is worth nothing without them."""
         fields = {"mean": self.mean.tolist(), "std": self.std.tolist(), "clip": self.clip}
-        path.write_text(json.dumps(fields), encoding="utf-8")
+        write_text(path, json.dumps(fields))
 
     @classmethod
     def load(cls, path: Path) -> Standardise:

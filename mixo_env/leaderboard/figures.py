@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixo_env.experts.expert import State
+from mixo_env.files import atomic_path
 from mixo_env.leaderboard.board import Leaderboard, Row, Table
 from mixo_env.leaderboard.evaluation import Poses, poses
 
@@ -71,9 +72,8 @@ def draw_trajectories(board: Leaderboard, path: Path) -> None:
     handles, labels = axes[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=len(labels), fontsize=9)
     figure.suptitle(_title(board, table), fontsize=10)
-    part = path.with_name(f".{path.name}.part")
-    figure.savefig(part, format="png", dpi=110, metadata={"Software": None})
-    part.replace(path)
+    with atomic_path(path) as temporary:
+        figure.savefig(temporary, format="png", dpi=110, metadata={"Software": None})
 
 
 def _title(board: Leaderboard, table: Table) -> str:

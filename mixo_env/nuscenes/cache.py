@@ -10,7 +10,6 @@ from __future__ import annotations
 import hashlib
 import logging
 import os
-import tempfile
 import zipfile
 from dataclasses import fields
 from pathlib import Path
@@ -18,7 +17,8 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
-from mixo_env.errors import DatasetError
+from mixo_env.errors import DatasetError, OutputError
+from mixo_env.files import atomic_path
 from mixo_env.nuscenes.index import TABLES, CalibrationRecord, ImageIndex, SceneRecord, build_index
 
 SCHEMA_VERSION = 1
@@ -60,8 +60,8 @@ def cached_index(root: Path, version: str) -> ImageIndex:
         try:
             _save(path, index, version, sources)
             break
-        except OSError as error:
-            logger.info("no cache at %s: %s", path, error.strerror)
+        except OutputError as error:
+            logger.info("no cache: %s", error)
     return index
 
 
@@ -107,16 +107,9 @@ def _load(path: Path, version: str, sources: dict[str, tuple[int, int]]) -> Imag
 
 def _save(path: Path, index: ImageIndex, version: str, sources: dict[str, tuple[int, int]]) -> None:
     header = _Header(SCHEMA_VERSION, version, sources, *(list(getattr(index, name)) for name in _TEXT_FIELDS))
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.stem}-", suffix=".tmp")
-    try:
-        with os.fdopen(handle, "wb") as file:
-            np.savez(
-                file,
-                header=np.frombuffer(msgspec.json.encode(header), dtype=np.uint8),
-                **{name: getattr(index, name) for name in _ARRAY_FIELDS},
-            )
-        Path(temporary).replace(path)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise
+    with atomic_path(path) as temporary, temporary.open("wb") as file:
+        np.savez(
+            file,
+            header=np.frombuffer(msgspec.json.encode(header), dtype=np.uint8),
+            **{name: getattr(index, name) for name in _ARRAY_FIELDS},
+        )

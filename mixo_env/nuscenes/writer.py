@@ -6,7 +6,6 @@ take the same path. Tokens are derived from what they stand for, so equal input 
 
 from __future__ import annotations
 
-import contextlib
 import hashlib
 import json
 from collections.abc import Iterable, Mapping, Sequence
@@ -18,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixo_env.errors import DatasetError
+from mixo_env.files import write_bytes
 from mixo_env.geometry import quaternion_wxyz_from_rotation, quaternion_wxyz_from_yaw
 from mixo_env.nuscenes.scene import CameraTrack, Scene
 
@@ -116,7 +116,7 @@ def write_tables(root: Path, version: str, scenes: Iterable[Tables]) -> None:
         scenes: results of :func:`scene_tables`, in the order wanted.
 
     Raises:
-        DatasetError: a file cannot be written.
+        OutputError: a file cannot be written.
     """
     joined: dict[str, dict[str, Row]] = {name: {} for name in SCENE_TABLES}
     for tables in scenes:
@@ -141,7 +141,7 @@ def write_can_bus(root: Path, scene_name: str, messages: Mapping[str, Sequence[R
     """Write ``can_bus/<scene>_<message>.json`` for every message, each atomically.
 
     Raises:
-        DatasetError: a file cannot be written.
+        OutputError: a file cannot be written.
     """
     for name, rows in messages.items():
         write_json(root / "can_bus" / f"{scene_name}_{name}.json", rows)
@@ -151,29 +151,9 @@ def write_json(path: Path, content: Any) -> None:
     """Write JSON atomically, folders included.
 
     Raises:
-        DatasetError: the file cannot be written.
+        OutputError: the file cannot be written.
     """
     write_bytes(path, json.dumps(content, separators=(",", ":")).encode())
-
-
-def write_bytes(path: Path, content: bytes) -> None:
-    """Write a file so that it is there completely or not at all; folders are made as needed.
-
-    Raises:
-        DatasetError: the file cannot be written.
-    """
-    temporary = path.with_name(f"{path.name}.part")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        temporary.write_bytes(content)
-        temporary.replace(path)
-    except OSError as error:
-        reason = error.strerror or str(error)
-        with contextlib.suppress(OSError):
-            temporary.unlink(missing_ok=True)
-        raise DatasetError(
-            f"cannot write {path}: {reason}; free space or choose another folder, then run again"
-        ) from error
 
 
 def _add_camera(

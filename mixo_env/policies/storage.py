@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixo_env.errors import PolicyError
+from mixo_env.files import write_bytes
 
 FILE = "policy.safetensors"
 DESCRIPTION = "mixo"
@@ -18,15 +19,16 @@ DESCRIPTION = "mixo"
 
 
 def write(folder: Path, description: Mapping[str, Any], tensors: Mapping[str, NDArray[Any]]) -> None:
-    """Write ``folder/policy.safetensors`` atomically; equal input gives equal bytes."""
+    """Write ``folder/policy.safetensors`` atomically; equal input gives equal bytes.
+
+    Raises:
+        OutputError: when it cannot be written.
+    """
     from safetensors.numpy import save
 
     metadata = {DESCRIPTION: json.dumps(description, sort_keys=True)}
     data = save({name: np.ascontiguousarray(value) for name, value in tensors.items()}, metadata=metadata)
-    folder.mkdir(parents=True, exist_ok=True)
-    part = folder / f"{FILE}.part"
-    part.write_bytes(data)
-    part.replace(folder / FILE)
+    write_bytes(folder / FILE, data)
 
 
 def read(folder: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:

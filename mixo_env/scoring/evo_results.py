@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import io
 import json
-import os
 import zipfile
 from pathlib import Path
 
 import numpy as np
 
+from mixo_env.files import atomic_path
 from mixo_env.scoring.scores import MethodScore
 from mixo_env.trajectory.formats import kitti_text, tum_text
 
@@ -45,8 +45,7 @@ def write_evo_result(path: Path, score: MethodScore, scene: int, convention: str
     if truth.timestamps_s is not None:
         arrays["timestamps"] = truth.timestamps_s
         arrays["seconds_from_start"] = truth.timestamps_s - truth.timestamps_s[0]
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    with zipfile.ZipFile(temporary, "w") as archive:
+    with atomic_path(path) as temporary, zipfile.ZipFile(temporary, "w") as archive:
         archive.writestr("info.json", json.dumps(info))
         archive.writestr("stats.json", json.dumps({name: float(value) for name, value in statistics.items()}))
         for name, array in arrays.items():
@@ -56,4 +55,3 @@ def write_evo_result(path: Path, score: MethodScore, scene: int, convention: str
         for name, trajectory in (("groundtruth", truth), ("estimate", estimate)):
             timed = trajectory.timestamps_s is not None
             archive.writestr(f"{name}.{'tum' if timed else 'kitti'}", (tum_text if timed else kitti_text)(trajectory))
-    temporary.replace(path)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mixo_env.files import atomic_path
 from mixo_env.geometry import FloatArray
 from mixo_env.metrics.absolute import scene_absolute
 from mixo_env.metrics.relative import RelativeSamples
@@ -196,10 +197,13 @@ def draw_all(folder: Path, scores: Sequence[MethodScore], convention: Convention
 
 
 def save(figure: Figure, path: Path) -> None:
-    """Write a picture at once or not at all, in the format its suffix names."""
-    part = path.with_name(f".part-{path.name}")
-    figure.savefig(part, dpi=150)
-    part.replace(path)
+    """Write a picture at once or not at all, in the format its suffix names.
+
+    Raises:
+        OutputError: when it cannot be written.
+    """
+    with atomic_path(path) as temporary:
+        figure.savefig(temporary, format=path.suffix[1:], dpi=150)
 
 
 def _seen_from_above(method: MethodScore, scene: int) -> Path2D:

@@ -18,8 +18,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mixo_env.errors import ConfigurationError, DatasetError, unknown
+from mixo_env.files import write_bytes
 from mixo_env.nuscenes.scene import ExactPoses
-from mixo_env.nuscenes.writer import scene_tables, write_bytes, write_can_bus, write_json, write_tables
+from mixo_env.nuscenes.writer import scene_tables, write_can_bus, write_json, write_tables
 from mixo_env.simulator.config import SimulationConfig
 from mixo_env.simulator.scenario import LogPlan, ScenePlan, plan_logs
 from mixo_env.simulator.scenes import blank_sides, pictures, simulate_scene
@@ -58,7 +59,7 @@ def simulate(
 
     Raises:
         ConfigurationError: the folder holds something else, ``workers`` is not positive, or a scene is unknown.
-        DatasetError: a file cannot be written (disk full, no permission); a rerun continues.
+        OutputError: a file cannot be written (disk full, no permission); a rerun continues.
     """
     if workers < 1:
         raise ConfigurationError(f"workers must be at least 1, got {workers}")

@@ -13,12 +13,12 @@ The stamped files of the rpg layout are TUM files.
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 
 import numpy as np
 
 from mixo_env.errors import ConfigurationError, TrajectoryError
+from mixo_env.files import write_text
 from mixo_env.geometry import FloatArray
 from mixo_env.trajectory.poses import Trajectory
 from mixo_env.trajectory.text import NumberTable, read_numbers
@@ -78,22 +78,16 @@ def kitti_text(trajectory: Trajectory) -> str:
 
 def write_tum(path: Path, trajectory: Trajectory) -> None:
     """Write a TUM file at once or not at all."""
-    _write(path, tum_text(trajectory))
+    write_text(path, tum_text(trajectory))
 
 
 def write_kitti(path: Path, trajectory: Trajectory) -> None:
     """Write a KITTI file at once or not at all."""
-    _write(path, kitti_text(trajectory))
+    write_text(path, kitti_text(trajectory))
 
 
 def _text(rows: FloatArray) -> str:
     return "".join(" ".join(map(repr, row)) + "\n" for row in rows.tolist())
-
-
-def _write(path: Path, text: str) -> None:
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    temporary.write_text(text, encoding="utf-8")
-    temporary.replace(path)
 
 
 def _tum(table: NumberTable) -> Trajectory:

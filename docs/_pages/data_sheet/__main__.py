@@ -44,7 +44,7 @@ class DataSheet:
         from docs._pages.data_sheet.page import FIGURES, page
         from docs._pages.data_sheet.samples import draw_motion
         from experiments import stored_figures as stored
-        from mixo_env.cli.results import write_text
+        from mixo_env.files import write_text
         from mixo_env.recordings.store import load_recordings
 
         recordings = load_recordings(self.recordings)

@@ -120,7 +120,7 @@ def _picture(city: City, plan: ScenePlan, channel: str, index: int, title: str, 
 
 def _write(path: Path, image: np.ndarray | cv2.typing.MatLike) -> None:
     """A JPEG, whole or not at all."""
-    from mixo_env.nuscenes.writer import write_bytes
+    from mixo_env.files import write_bytes
 
     encoded = cv2.imencode(".jpg", np.asarray(image), [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1]
     write_bytes(path, encoded.tobytes())
@@ -215,7 +215,7 @@ def draw_motion(paths: Sequence[Way], real: dict[str, Numbers], path: Path) -> N
         if name == "speed_1s_mps":
             axes.set_ylabel("per cent below")
             axes.legend(fontsize=7, loc="upper left")
-    from mixo_env.recordings.store import atomic_path
+    from mixo_env.files import atomic_path
 
     with atomic_path(path) as temporary:
         figure.savefig(temporary, format="png", dpi=110, metadata={"Software": None})

@@ -8,7 +8,6 @@ within a node, which is what makes matching take milliseconds.
 from __future__ import annotations
 
 import functools
-import os
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,6 +17,7 @@ from numpy.typing import NDArray
 
 from mixo_env.errors import ConfigurationError, DatasetError
 from mixo_env.experts.monocular.bits import population_count
+from mixo_env.files import atomic_path
 
 GENERAL_VOCABULARY = Path(__file__).parents[1] / "data" / "vocabulary.npy"
 """Learned on three simulated drives (rain, night, sun; another seed than any recording) in all four cameras:
@@ -54,11 +54,13 @@ class Vocabulary:
         return nearest_words(descriptor, self.centres[:, 1:].reshape(-1, 4), count)
 
     def save(self, path: Path) -> None:
-        """Write to an ``.npy`` file, atomically."""
-        part = path.with_suffix(f".{os.getpid()}.part")
-        with part.open("wb") as file:
+        """Write to an ``.npy`` file, atomically.
+
+        Raises:
+            OutputError: when it cannot be written.
+        """
+        with atomic_path(path) as temporary, temporary.open("wb") as file:
             np.save(file, self.centres)
-        part.replace(path)
 
 
 @functools.cache
