@@ -18,6 +18,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
+from mixo_env.caches import user_cache_folder
 from mixo_env.errors import DatasetError
 from mixo_env.nuscenes.index import TABLES, CalibrationRecord, ImageIndex, SceneRecord, build_index
 
@@ -63,12 +64,6 @@ def cached_index(root: Path, version: str) -> ImageIndex:
         except OSError as error:
             logger.info("no cache at %s: %s", path, error.strerror)
     return index
-
-
-def user_cache_folder() -> Path:
-    """Where caches go when the data set's own folder is read-only: ``$XDG_CACHE_HOME`` or ``~/.cache``."""
-    base = os.environ.get("XDG_CACHE_HOME")
-    return (Path(base) if base else Path.home() / ".cache") / "mixo-env"
 
 
 def _root_key(root: Path) -> str:
