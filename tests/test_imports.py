@@ -28,6 +28,8 @@ FLOORS = (
     "mixo_env.trajectory",
     "mixo_env.tables",
     "mixo_env.fusion",
+    "mixo_env.compiled",
+    "mixo_env.caches",
     "mixo_env.geometry",
     "mixo_env.files",
     "mixo_env.errors",

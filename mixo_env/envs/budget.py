@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any, ClassVar
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from mixo_env.compiled import compiled
 from mixo_env.envs.observation import AWAKE, RICH, Quantity
 from mixo_env.envs.odometry import MixoOdometryEnv, MixoOdometryVectorEnv
 from mixo_env.envs.replay import Replay
@@ -26,7 +26,7 @@ STATELESS = tuple(quantity for quantity in RICH if quantity.name != "yaw_rate_st
 """``"rich"`` without the standard deviation, which only an odometry that was never switched off can tell."""
 
 
-@numba.njit(cache=True)
+@compiled
 def silence(
     out: Any, state: Any, table: Any, awake: Any, expert_of_camera: Any, columns: Any, experts: int, limit: float
 ) -> None:

@@ -10,8 +10,9 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numba
 import numpy as np
+
+from mixo_env.compiled import compiled
 
 SUBSTITUTE, DT, DISTANCE, LINEAR_ERROR, TRUTH, TRUE_YAW, TRUE_X, TRUE_Y, FIRST_EXPERT = range(9)
 """Columns of the table of steps (float64, one row per recorded step):
@@ -84,7 +85,7 @@ CAP = 10.0
 """Largest error that counts in a reward, in units of sigma_0 (yaw) or metres (position)."""
 
 
-@numba.njit(cache=True)
+@compiled
 def power_of_e(x: float) -> float:
     """e^x for abs(x) <= 5, relative error below 1e-14: e^(x/16) by series, squared four times."""
     t = 0.0625 * x
@@ -97,7 +98,7 @@ def power_of_e(x: float) -> float:
     return e * e
 
 
-@numba.njit(cache=True)
+@compiled
 def half_turn(angle_rad: float) -> tuple[float, float]:
     """Cosine and sine of half an angle; beyond half a radian, which no step of a car reaches, by the C library."""
     h = 0.5 * angle_rad
@@ -109,7 +110,7 @@ def half_turn(angle_rad: float) -> tuple[float, float]:
     return c, h * n
 
 
-@numba.njit(cache=True)
+@compiled
 def restart(state: Any, which: Any, scenes: Any, starts: Any, pause: bool) -> None:
     """Put batch entries ``which`` at the start of ``scenes``; ``starts`` ``(scenes,)`` is SCENE."""
     for i in range(which.size):
@@ -130,7 +131,7 @@ def restart(state: Any, which: Any, scenes: Any, starts: Any, pause: bool) -> No
         s.pause = pause
 
 
-@numba.njit(cache=True)
+@compiled
 def score(actions: Any, scale: float, exponential: bool, scores: Any) -> bool:
     """Write ``scale`` x ``actions``, or e to that power, into ``scores``; False if one is no number in [-1, 1]."""
     wrong = 0
@@ -144,7 +145,7 @@ def score(actions: Any, scale: float, exponential: bool, scores: Any) -> bool:
     return wrong == 0
 
 
-@numba.njit(cache=True)
+@compiled
 def advance(
     scores: Any,
     shares: bool,
@@ -222,7 +223,7 @@ def advance(
             s.row = row + 1
 
 
-@numba.njit(cache=True)
+@compiled
 def judge(state: Any, reward: int, sigma_rad: float, report: Any) -> int:
     """Write what the last step was into ``report`` ``(3 + terms, batch)``.
 
@@ -249,7 +250,7 @@ def judge(state: Any, reward: int, sigma_rad: float, report: Any) -> int:
     return ended
 
 
-@numba.njit(cache=True)
+@compiled
 def tally(state: Any, scores: Any) -> None:
     """Write the SCORES ``(3, batch)`` of the scenes that have ended, 0 for the others."""
     for b in range(state.size):
@@ -259,7 +260,7 @@ def tally(state: Any, scores: Any) -> None:
         scores[2, b] = math.degrees(math.sqrt(s.sum_error_rad2 / s.step)) if s.done else 0.0
 
 
-@numba.njit(cache=True)
+@compiled
 def look(out: Any, state: Any, context: Any, fused: bool, limit: float) -> None:
     """Copy each scene's recorded context into ``out`` ``(batch, width)`` and set the fused previous yaw rate.
 
@@ -273,7 +274,7 @@ def look(out: Any, state: Any, context: Any, fused: bool, limit: float) -> None:
             out[b, 0] = np.float32(min(max(state[b].previous_yaw_rate, -limit), limit))
 
 
-@numba.njit(cache=True)
+@compiled
 def play(
     actions: Any,
     report: Any,

@@ -14,9 +14,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from mixo_env.compiled import compiled_once
 from mixo_env.errors import ConfigurationError, unknown
 from mixo_env.geometry import FloatArray
-from mixo_env.metrics.compilation import compiled
 
 IntArray = NDArray[np.int64]
 
@@ -134,7 +134,7 @@ def find_pairs(distance_m: FloatArray, rule: PairRule | None = None, offsets: In
     start, end = np.empty(most, dtype=np.int64), np.empty(most, dtype=np.int64)
     counts = np.zeros((len(offsets) - 1, len(lengths)), dtype=np.int64)
     if most > _COMPILE_ABOVE:
-        search, distance, limits = compiled(_search), np.ascontiguousarray(distance_m, dtype=np.float64), offsets
+        search, distance, limits = compiled_once(_search), np.ascontiguousarray(distance_m, dtype=np.float64), offsets
     else:  # lists are several times faster than arrays in interpreted code
         search, distance, limits = _search, distance_m.tolist(), offsets.tolist()
     total = search(distance, limits, lengths, tolerance, spacing, rpg, start, end, counts)

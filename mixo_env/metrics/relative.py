@@ -16,13 +16,13 @@ from typing import Literal
 
 import numpy as np
 
+from mixo_env.compiled import compiled_once
 from mixo_env.geometry import (
     FloatArray,
     conjugate_quaternion_wxyz,
     multiply_quaternions_wxyz,
     wrap_angle_rad,
 )
-from mixo_env.metrics.compilation import compiled
 from mixo_env.metrics.pairs import IntArray, PairRule, Pairs, find_pairs, path_length
 from mixo_env.trajectory import Trajectory
 
@@ -77,7 +77,7 @@ def relative_errors(
     difference = multiply_quaternions_wxyz(truth.quaternions_wxyz, conjugate_quaternion_wxyz(estimate.quaternions_wxyz))
     scaled_m = estimate.positions_m * _per_row(scale, pairs, len(truth))
     translation_m, rotation_rad = np.empty(len(pairs.start)), np.empty(len(pairs.start))
-    measure = compiled(_measure) if len(pairs.start) > _COMPILE_ABOVE else _measure
+    measure = compiled_once(_measure) if len(pairs.start) > _COMPILE_ABOVE else _measure
     measure(truth.positions_m, scaled_m, difference, pairs.start, pairs.end, translation_m, rotation_rad)
     return _samples(pairs, translation_m, np.rad2deg(rotation_rad), end_length)
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 import logging
-import os
 import zipfile
 from dataclasses import fields
 from pathlib import Path
@@ -17,6 +16,7 @@ from pathlib import Path
 import msgspec
 import numpy as np
 
+from mixo_env.caches import user_cache_folder
 from mixo_env.errors import DatasetError, OutputError
 from mixo_env.files import atomic_path
 from mixo_env.nuscenes.index import TABLES, CalibrationRecord, ImageIndex, SceneRecord, build_index
@@ -63,12 +63,6 @@ def cached_index(root: Path, version: str) -> ImageIndex:
         except OutputError as error:
             logger.info("no cache: %s", error)
     return index
-
-
-def user_cache_folder() -> Path:
-    """Where caches go when the data set's own folder is read-only: ``$XDG_CACHE_HOME`` or ``~/.cache``."""
-    base = os.environ.get("XDG_CACHE_HOME")
-    return (Path(base) if base else Path.home() / ".cache") / "mixo-env"
 
 
 def _root_key(root: Path) -> str:

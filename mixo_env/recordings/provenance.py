@@ -20,7 +20,7 @@ from mixo_env.nuscenes.scene import Scene, Signal
 SOFTWARE = ("mixo-env", "numpy", "numba", "llvmlite", "filterpy", "simplejpeg", "pyarrow")
 """Packages whose version can change a recorded value."""
 
-_CODE = ("geometry.py", "experts", "nuscenes", "recordings")
+_CODE = ("geometry.py", "compiled.py", "experts", "nuscenes", "recordings")
 _SUFFIXES = (".py", ".npy", ".npz", ".json")
 
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from mixo_env.compiled import compiled_unchecked
 from mixo_env.simulator.fleet import body_motions
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_unchecked
 def _product(first, second):
     """Matrix product, without the linear-algebra library that Numba's own one needs."""
     out = np.zeros((3, 3))
@@ -19,7 +19,7 @@ def _product(first, second):
     return out
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_unchecked
 def during_exposure(start, start_m, end, end_m, states, half_s):
     """The camera at the middle of the exposure, and how everything moves before it in the second half.
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from mixo_env.compiled import compiled_unchecked
 from mixo_env.simulator.mesh import CUT_OUT, SHADE, TWO_SIDED, PatchSet, packed
 from mixo_env.simulator.vehicles import VEHICLE_KINDS, VehicleState
 from mixo_env.simulator.world import World
@@ -16,7 +16,7 @@ _SWEEPS = 3
 _SHADE, _BOTH = SHADE, TWO_SIDED | CUT_OUT
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_unchecked
 def _place(states, models, size, source, target, texels_per_m, sun, shadows):
     """Copy the models named in ``models`` to their ``states`` (x, y, yaw); see :class:`Fleet`."""
     start, geometry, texel, look, tag, spheres = source
@@ -81,7 +81,7 @@ def _place(states, models, size, source, target, texels_per_m, sun, shadows):
     out_start[states.shape[0]] = q
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_unchecked
 def _lay(geometry, texel, tag, q, texels_per_m):
     """Give patch ``q`` the texture of the ground below it; what lies on the ground does not move with the vehicle."""
     g = geometry[q]
@@ -150,7 +150,7 @@ def moving_states(vehicles: Sequence[VehicleState]) -> NDArray[np.float64]:
     return np.array(states, np.float64).reshape(-1, 5)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_unchecked
 def body_motions(states, dt_s):
     """Motions of the map frame that carry the rigid bodies ``dt_s`` seconds on: the world, which stands, and vehicles.
 

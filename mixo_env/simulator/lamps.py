@@ -6,10 +6,10 @@ from collections.abc import Sequence
 
 import cv2
 import numpy as np
-from numba import float32, njit
+from numba import float32
 from numpy.typing import NDArray
 
-from mixo_env.simulator.compiling import INLINED
+from mixo_env.compiled import compiled_unchecked, inlined
 from mixo_env.simulator.vehicles import VEHICLE_KINDS, VehicleState
 
 WINDOW = 512
@@ -19,7 +19,7 @@ _CELL = 8
 _FIELD = (1 << 21) - 1
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_unchecked
 def _add_beams(window, origin, beams):
     """Add head light beams (x, y of the lamps, cos and sin of the heading) to the light on the ground."""
     side = window.shape[0]
@@ -57,7 +57,7 @@ def light_window(
     return window, corner.astype(np.float64)
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_unchecked
 def _bright(radiance, threshold, cells):
     """Add the light above ``threshold`` of every second pixel in every second row to its cell."""
     for y in range(0, cells.shape[0] * _CELL, 2):
@@ -69,7 +69,7 @@ def _bright(radiance, threshold, cells):
                     cells[y // _CELL, x // _CELL, c] += 4 * excess
 
 
-@njit(**INLINED)
+@inlined
 def _between(cells, i, j, channel, b):
     """Value on the left of a cell at height ``b`` (0..1), and how much more there is on its right."""
     b, rest = float32(b), float32(1.0 - b)
@@ -77,7 +77,7 @@ def _between(cells, i, j, channel, b):
     return left, cells[i, j + 1, channel] * rest + cells[i + 1, j + 1, channel] * b - left
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_unchecked
 def _add(radiance, cells):
     """Add ``cells`` (h, w, 3), given at the centres of the cells, to the picture; dark cells cost nothing.
 

@@ -10,9 +10,9 @@ carries along.
 from __future__ import annotations
 
 import numpy as np
-from numba import float32, int32, njit
+from numba import float32, int32
 
-from mixo_env.simulator.compiling import INLINED
+from mixo_env.compiled import compiled_unchecked, inlined
 from mixo_env.simulator.mesh import GROUND, SOLID
 
 _FIELD = (1 << 21) - 1
@@ -25,7 +25,7 @@ _FADING_ROWS = 32.0  # of the picture, at its top: an edge where the mirror ends
 _STRETCH = 64  # cells within which the share of mirrored light is linear
 
 
-@njit(**INLINED)
+@inlined
 def mixed(first, second, share):
     """Packed radiance: share / 255 of the second, the rest of the first."""
     keep = share ^ 255  # written so that the compiler sees factors of 32 bits: SIMD multiplies those at once
@@ -36,7 +36,7 @@ def mixed(first, second, share):
     return red | green << 21 | blue << 42
 
 
-@njit(**INLINED)
+@inlined
 def _carried(inverse, drop, ray, up, lens, shape, first, places, shown):
     """Where a run of cells is mirrored, and what the cell there has to show.
 
@@ -74,7 +74,7 @@ def _carried(inverse, drop, ray, up, lens, shape, first, places, shown):
         shown[i] = np.int32(from_row * width + from_column if inside else float32(0.0))
 
 
-@njit(**INLINED)
+@inlined
 def _claim(bits, places, shown, images):
     """Let cells claim their places; the nearest wins. A claim is 1/z above the index of the pixel to show."""
     for i in range(places.shape[0]):
@@ -82,7 +82,7 @@ def _claim(bits, places, shown, images):
         images[place] = max(images[place], claim)
 
 
-@njit(**INLINED)
+@inlined
 def _take(images, two_rows, shown):
     """What the cells of a run show: what claimed them, else what is two rows over what the cell above shows.
 
@@ -97,7 +97,7 @@ def _take(images, two_rows, shown):
     return most
 
 
-@njit(**INLINED)
+@inlined
 def _puddles(inverse, ground, noise, where, clear):
     """How clear the mirror is in a run of cells: puddles lie in the map like the noise; far ones blur."""
     x, y, x_step, y_step, px, py = ground
@@ -111,7 +111,7 @@ def _puddles(inverse, ground, noise, where, clear):
         clear[i] = float32(_MEAN_CLEAR) + near * (min(water, float32(1.0)) - float32(_MEAN_CLEAR))
 
 
-@njit(**INLINED)
+@inlined
 def _shares(share, change, shown, clear, width, shares):
     """Share of 255 that each cell of a run shows of what it mirrors; what is seen at the top of the picture fades."""
     per_pixel, top = float32(1.0 / (_FADING_ROWS * width)), float32((_RIPPLE_ROWS + 1) / _FADING_ROWS)
@@ -120,7 +120,7 @@ def _shares(share, change, shown, clear, width, shares):
         shares[i] = np.int32((share + change * float32(i)) * clear[i] * inside)
 
 
-@njit(**INLINED)
+@inlined
 def _spread(shown, shares, places, parts):
     """What the pixels of a row show, and how much of it, from what the cells of a run do."""
     for i in range(shown.shape[0]):
@@ -129,7 +129,7 @@ def _spread(shown, shares, places, parts):
         parts[2 * i], parts[2 * i + 1] = shares[i], shares[i]
 
 
-@njit(**INLINED)
+@inlined
 def _blend(flat, offset, ripple, k, places, parts, owner, road, out):
     """Mix what they show into a run of pixels of the road, those of patch ``k``; the others stay."""
     for i in range(out.shape[0]):
@@ -139,14 +139,14 @@ def _blend(flat, offset, ripple, k, places, parts, owner, road, out):
         out[i] = mixed(road[i], (flat[here] >> 1 & _HALVES) + (flat[above] >> 1 & _HALVES), part)
 
 
-@njit(**INLINED)
+@inlined
 def _put(values, row):
     """Write a run; :func:`_blend` must not, since it reads from the same picture."""
     for i in range(values.shape[0]):
         row[i] = values[i]
 
 
-@njit(**INLINED)
+@inlined
 def _still_water(x, y, up):
     """Share of light that still water mirrors in the direction (x, y, 1) (Fresnel, after Schlick)."""
     grazing = 1.0 - min(abs(x * up[0] + y * up[1] + up[2]) / np.sqrt(x * x + y * y + 1.0), 1.0)
@@ -154,7 +154,7 @@ def _still_water(x, y, up):
     return 0.02 + 0.98 * squared * squared * grazing
 
 
-@njit(**INLINED)
+@inlined
 def _end_of_run(owner, begin, across):
     """First cell after ``begin`` that shows another patch; ``owner`` of the pixels of its first row."""
     end = begin + 1
@@ -163,7 +163,7 @@ def _end_of_run(owner, begin, across):
     return end
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_unchecked
 def mirror_road(radiance, owner, depth, plane, mark, rotation, position, lens, clouds, wetness, images):
     """Blend into the road what it mirrors.
 

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from mixo_env.compiled import compiled_unchecked
 from mixo_env.simulator.mirror import mixed
 
 _NO_SPRAY_MPS = 3.0
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_unchecked
 def add_spray(radiance, depth, puffs, lens, clouds, colour):
     """Blend soft clouds of fine water into the picture.
 
@@ -48,7 +48,7 @@ def add_spray(radiance, depth, puffs, lens, clouds, colour):
                 radiance[row, column] = mixed(radiance[row, column], colour, int(256.0 * share))
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_unchecked
 def spray_puffs(states, size_m, rotation, position_m, wetness):
     """Puffs behind the wheels of moving vehicles for :func:`add_spray`, growing with speed and age.
 

@@ -12,10 +12,10 @@ drawn are dropped: in a street most of the city is hidden by the first row of ho
 from __future__ import annotations
 
 import numpy as np
-from numba import float32, int32, njit
+from numba import float32, int32
 from numpy.typing import NDArray
 
-from mixo_env.simulator.compiling import INLINED
+from mixo_env.compiled import compiled_unchecked, inlined
 from mixo_env.simulator.mesh import CUT_OUT, TWO_SIDED, PatchSet
 
 NEAR_M = 0.2
@@ -30,7 +30,7 @@ _SMALL_CARD_PX = 8.0  # every second leaf card smaller than this is left out
 _OPAQUE = np.uint32(110 << 24)  # coverage, the highest byte, above 110 of 255
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_unchecked
 def _visible_groups(groups, rotation, position, lens, width, height, far, nearest, number, tiles):
     """Groups whose bounding sphere meets the view and covers at least a pixel.
 
@@ -81,7 +81,7 @@ def _visible_groups(groups, rotation, position, lens, width, height, far, neares
     return count
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_unchecked
 def _farthest(depth, out):
     """Smallest 1/z of every tile of ``_TILE`` x ``_TILE`` pixels."""
     height, width = depth.shape
@@ -99,7 +99,7 @@ def _farthest(depth, out):
             out[tile_row, column] = least
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_unchecked
 def _not_hidden(farthest, nearest, tiles, chosen):
     """Those of ``chosen`` (indices into the lists of ``_visible_groups``) that may be seen."""
     kept = np.empty_like(chosen)
@@ -119,7 +119,7 @@ def _not_hidden(farthest, nearest, tiles, chosen):
     return kept[:count]
 
 
-@njit(**INLINED)
+@inlined
 def _rows(corner, fy, cy, height):
     """First and last pixel row that the polygon's part before the camera can touch."""
     lowest, highest = 1e9, -1e9
@@ -136,7 +136,7 @@ def _rows(corner, fy, cy, height):
     return max(0, int(np.ceil(max(lowest, 0.0)))), int(np.floor(min(highest, height - 1.0)))
 
 
-@njit(**INLINED)
+@inlined
 def _fill(depths, owners, row, begin, end, start, step, slot):
     """Keep the nearer of what is there and a span whose 1/z begins at ``start``; unconditional stores run in SIMD."""
     depth, owner = depths[row, begin : end + 1], owners[row, begin : end + 1]
@@ -148,7 +148,7 @@ def _fill(depths, owners, row, begin, end, start, step, slot):
         owner[i] = number if nearer else owner[i]
 
 
-@njit(**INLINED)
+@inlined
 def _fill_cut_out(plane, slot, row, begin, end, number, texels, table, depth, owner, where):
     """Like the plain fill, but only where the texture covers; one reduction per row."""
     p0, p1, p2 = plane[slot, 0] + plane[slot, 2] * row, plane[slot, 1], plane[slot, 2]
@@ -170,7 +170,7 @@ def _fill_cut_out(plane, slot, row, begin, end, number, texels, table, depth, ow
     _keep_covered(across, begin, texel, texels[start:], slot, where[: end + 1 - begin], depths, owners)
 
 
-@njit(**INLINED)
+@inlined
 def _keep_covered(across, begin, texel, texels, slot, where, depth, owner):
     """The loops of :func:`_fill_cut_out`, without branches so that they run in SIMD; ``where`` is working memory."""
     p0, p1, q0, q1, w0, w1 = across
@@ -188,13 +188,13 @@ def _keep_covered(across, begin, texel, texels, slot, where, depth, owner):
         owner[i] = number if seen else owner[i]
 
 
-@njit(**INLINED)
+@inlined
 def _copy(source, q, target, slot):
     for j in range(source.shape[1]):
         target[slot, j] = source[q, j]
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_unchecked
 def _draw(
     order, group_start, geometry, texel, look, tag, rotation, position, lens, far, texels, table, depth, owner,
     plane, style, mark, slot,
@@ -297,7 +297,7 @@ def _draw(
     return slot
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_unchecked
 def _draw_sets(sets, rotation, position, lens, far, texels, table, depth, owner, tiles, plane, style, mark):
     """Draw all that can be seen; see :meth:`DepthBuffers.draw_patches`.
 

@@ -7,10 +7,10 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
-from numba import float32, int32, njit, uint32
+from numba import float32, int32, uint32
 from numpy.typing import NDArray
 
-from mixo_env.simulator.compiling import INLINED
+from mixo_env.compiled import inlined
 from mixo_env.simulator.shadows import EXTENT_M, FIELD_TEXELS_PER_M, PICTURE_TEXELS_PER_M
 
 CELL_SHIFT = 3
@@ -24,7 +24,7 @@ _U8, _U16 = np.uint32(8), np.uint32(16)
 _LOW, _PAIR = np.uint32(0xFFFF), np.uint32(0x00FF00FF)
 
 
-@njit(**INLINED)
+@inlined
 def add_texels(texels, shape, u, v, step_u, step_v, where, keep, red_blue, green_alpha):
     """Add a texture, interpolated between four texels, along a span to the sums of its pixels.
 
@@ -70,7 +70,7 @@ def add_texels(texels, shape, u, v, step_u, step_v, where, keep, red_blue, green
         green_alpha[i] = (green_alpha[i] & keep) + (odd >> _U8 & _PAIR)
 
 
-@njit(**INLINED)
+@inlined
 def bilinear1(image, u, v, mask):
     """One channel of a square repeating image at (u, v)."""
     floor_u, floor_v = np.floor(u), np.floor(v)
@@ -82,7 +82,7 @@ def bilinear1(image, u, v, mask):
     return upper * (1.0 - b) + lower * b
 
 
-@njit(**INLINED)
+@inlined
 def read_grain(tile, log, u, v, step_u, step_v, where, out):
     """Fine grain along a span, interpolated between four texels, 0..255 * 256.
 
@@ -110,7 +110,7 @@ def read_grain(tile, log, u, v, step_u, step_v, where, out):
         out[i] = float32(np.int32((pairs & _LOW) * uint32(16 - b) + (pairs >> _U16) * b))
 
 
-@njit(**INLINED)
+@inlined
 def bytes_at(image, mask, u, v):
     """One channel of a square repeating image of bytes at (u, v) in 1/65536 texels; 0..255 * 65536."""
     a, b = (u >> 8) & 255, (v >> 8) & 255
@@ -121,7 +121,7 @@ def bytes_at(image, mask, u, v):
     return upper * (256 - b) + lower * b
 
 
-@njit(**INLINED)
+@inlined
 def level(ratio):
     """Reduction whose texels match ``ratio`` texels a pixel: round(log2(ratio))."""
     return (
@@ -138,7 +138,7 @@ def level(ratio):
     )
 
 
-@njit(**INLINED)
+@inlined
 def above_shadow(field, x, y, z):
     """Share of the sun that houses leave at a point: four soft comparisons, interpolated."""
     u, v = (x + HALF_EXTENT_M) * FIELD_TEXELS_PER_M - 0.5, (y + HALF_EXTENT_M) * FIELD_TEXELS_PER_M - 0.5
@@ -153,7 +153,7 @@ def above_shadow(field, x, y, z):
     return (c00 * (1.0 - a) + c01 * a) * (1.0 - b) + (c10 * (1.0 - a) + c11 * a) * b
 
 
-@njit(**INLINED)
+@inlined
 def lamp_light(lamps, corner_x, corner_y, beam, x, y, z, up, rx, ry, rz):
     """Light of street lamps and of the car's own head lights.
 

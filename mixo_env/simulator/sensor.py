@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import float32, njit
+from numba import float32
 
-from mixo_env.simulator.compiling import INLINED
+from mixo_env.compiled import compiled_unchecked, inlined
 
 LONGEST_BLUR_PX = 48.0
 MOST_SAMPLES = 6
@@ -20,7 +20,7 @@ _STRETCH = 16
 _ALIKE = 12  # sixteenths of a pixel
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_unchecked
 def mean_radiance(radiance):
     """Mean over a sparse grid of the lower two thirds of the picture: the sky may turn white, as in a car's camera."""
     some = radiance[len(radiance) // 3 :: 8, ::8]
@@ -31,7 +31,7 @@ def mean_radiance(radiance):
     return total / some.size / 3.0
 
 
-@njit(**INLINED)
+@inlined
 def spread_motion(depth, ends, along, down):
     """Let near surfaces in a row of pixels that move sideways smear over what is behind them.
 
@@ -62,13 +62,13 @@ def spread_motion(depth, ends, along, down):
             along[column], down[column] = du, dv
 
 
-@njit(**INLINED)
+@inlined
 def _nearest(flat, x, y, width, right, bottom):
     """Radiance at (x, y) in 1/65536 pixels, at the border the nearest one."""
     return flat[np.uintp((min(max(y, 0), bottom) >> 16) * width + (min(max(x, 0), right) >> 16))]
 
 
-@njit(**INLINED)
+@inlined
 def _smear_pixels(flat, shape, flow, y, begin, stop, words, scales):
     """Average the pixels ``begin`` to ``stop`` of row ``y`` one by one; see :func:`_smear`."""
     height, width = shape
@@ -96,14 +96,14 @@ def _smear_pixels(flat, shape, flow, y, begin, stop, words, scales):
         scales[x] *= share * float32(1.0 / 65536.0)
 
 
-@njit(**INLINED)
+@inlined
 def _step(at, width, ax, ay, steps):
     """Place in the flat picture ``steps`` times (ax, ay) from ``at``, to the nearest pixel."""
     along, down = int(np.floor(ax * steps + 0.5)), int(np.floor(ay * steps + 0.5))
     return at + down * width + along
 
 
-@njit(**INLINED)
+@inlined
 def _extremes(values):
     """Smallest and largest."""
     least = most = values[0]
@@ -112,7 +112,7 @@ def _extremes(values):
     return least, most
 
 
-@njit(**INLINED)
+@inlined
 def _add_six(first, second, third, fourth, fifth, sixth, words, scales):
     """The mean of six stretches of the picture: their sums and the divisor."""
     for i in range(words.shape[0]):
@@ -121,7 +121,7 @@ def _add_six(first, second, third, fourth, fifth, sixth, words, scales):
         scales[i] *= float32(1.0 / MOST_SAMPLES)
 
 
-@njit(**INLINED)
+@inlined
 def _smear(flat, shape, flow, y, words, scales, motion):
     """Average row ``y`` along each pixel's motion: sums into ``words``, their divisors into ``scales``.
 
@@ -171,7 +171,7 @@ def _smear(flat, shape, flow, y, words, scales, motion):
         )  # fmt: skip
 
 
-@njit(**INLINED)
+@inlined
 def _begin_row(radiance, vignette, gain, words, scales):
     for x in range(words.shape[0]):
         words[x] = radiance[x]
@@ -179,7 +179,7 @@ def _begin_row(radiance, vignette, gain, words, scales):
         scales[x] = gain * vignette[x]
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_unchecked
 def expose(radiance, flow, vignette, noise, offset, gain, shot, read, out):
     """Average along each pixel's motion, then expose, add noise and encode.
 

@@ -8,9 +8,9 @@ haze and lamp light are chosen once per span.
 from __future__ import annotations
 
 import numpy as np
-from numba import float32, njit
+from numba import float32
 
-from mixo_env.simulator.compiling import INLINED
+from mixo_env.compiled import compiled_unchecked, inlined
 from mixo_env.simulator.mesh import CUT_OUT, GROUND, SHADE, SOLID
 from mixo_env.simulator.sampling import (
     CELL_SHIFT,
@@ -49,7 +49,7 @@ _EVEN_SPAN_TEXELS = 6.0
 _OFF_WALL_M = 0.8  # shadows are looked up this far off a surface, or every wall would shade itself
 
 
-@njit(**INLINED)
+@inlined
 def _ramps(along, along_step, down, down_step, flow_along, flow_down):
     """Write a motion that changes evenly along a span."""
     u, du, v, dv = float32(along), float32(along_step), float32(down), float32(down_step)
@@ -58,7 +58,7 @@ def _ramps(along, along_step, down, down_step, flow_along, flow_down):
         flow_down[i] = v + dv * float32(i)
 
 
-@njit(**INLINED)
+@inlined
 def _sky_point(x, row, camera, turn):
     """One pixel of the sky.
 
@@ -79,7 +79,7 @@ def _sky_point(x, row, camera, turn):
     return wx * scale, wy * scale, min(2.0 * up, 1.0), 2.0 * (u - x), 2.0 * (v - row)
 
 
-@njit(**INLINED)
+@inlined
 def _blend_sky(high, rise, contrast, tones, specks, out):
     """Packed radiance of a span of sky: haze below, zenith above, clouds a little brighter than the haze is red."""
     haze0, haze1, haze2, top0, top1, top2 = tones
@@ -93,7 +93,7 @@ def _blend_sky(high, rise, contrast, tones, specks, out):
         out[i] = np.int64(min(r, most)) | np.int64(min(g, most)) << 21 | np.int64(min(b, most)) << 42
 
 
-@njit(**INLINED)
+@inlined
 def _sky_run(row, begin, stop, camera, light, textures, motion, memory, out, flow):
     """Clouds on a plane between clear sky and haze; they move with the camera's rotation only."""
     sky, turn, specks, where = textures[4], motion[0], memory[3], memory[4]
@@ -117,7 +117,7 @@ def _sky_run(row, begin, stop, camera, light, textures, motion, memory, out, flo
         x = end
 
 
-@njit(**INLINED)
+@inlined
 def _whole(length):
     """Pixels to compute for a span: up to seven more than it has, so that SIMD leaves no rest.
 
@@ -126,7 +126,7 @@ def _whole(length):
     return (length + 7) & ~7
 
 
-@njit(**INLINED)
+@inlined
 def _fetch(texels, shape, steps, taps, where, red_blue, green_alpha):
     """Texture along a span: the sum of ``taps`` samples for every pixel."""
     u, v, step_u, step_v, tap_u, tap_v = steps
@@ -135,14 +135,14 @@ def _fetch(texels, shape, steps, taps, where, red_blue, green_alpha):
         add_texels(texels, shape, u + tap * tap_u, v + tap * tap_v, step_u, step_v, where, keep, red_blue, green_alpha)
 
 
-@njit(**INLINED)
+@inlined
 def _glow(light, emission, scale, unit, green_alpha, factors):
     """Light of a span in even light whose texture shines by itself."""
     for i in range(factors.shape[0]):
         factors[i] = (light + emission * np.int32(green_alpha[i] >> _U16) * scale) * unit
 
 
-@njit(**INLINED)
+@inlined
 def _apply_grain(base, gain, specks, factors):
     """Multiply ``factors`` by the square of the fine grain along a span."""
     for i in range(factors.shape[0]):
@@ -150,7 +150,7 @@ def _apply_grain(base, gain, specks, factors):
         factors[i] *= speck * speck
 
 
-@njit(**INLINED)
+@inlined
 def _colour(red_blue, green_alpha, factors, tint0, tint1, tint2, haze0, haze1, haze2, out):
     """Packed radiance of a span: squares of the texture's sums times tint and light, plus haze."""
     top = float32(RADIANCE_TOP)
@@ -163,7 +163,7 @@ def _colour(red_blue, green_alpha, factors, tint0, tint1, tint2, haze0, haze1, h
         out[i] = np.int64(red) | np.int64(green) << 21 | np.int64(blue) << 42
 
 
-@njit(**INLINED)
+@inlined
 def _shade_run(row, begin, stop, k, seen, camera, light, textures, daylight, night, motion, memory, out, flow):
     """Shade the pixels ``begin`` to ``stop`` of a row, all of slot ``k``; see :func:`shade`."""
     reds, greens, scratch, noise, where = memory
@@ -326,7 +326,7 @@ def _shade_run(row, begin, stop, k, seen, camera, light, textures, daylight, nig
         x = end
 
 
-@njit(cache=True, error_model="numpy")
+@compiled_unchecked
 def shade(seen, camera, light, textures, daylight, night, motion, out, flow):
     """Fill ``out`` with linear radiance and ``flow`` with the way each pixel's surface moves during the exposure.
 

@@ -19,7 +19,7 @@ def _count_bits(typing_context: Any, word: Any) -> Any:
 
 
 population_count: Any = intrinsic(_count_bits)
-"""Number of set bits of a uint64; only inside ``@njit`` functions."""
+"""Number of set bits of a uint64; only inside compiled functions."""
 
 
 def _count_trailing(typing_context: Any, word: Any) -> Any:
@@ -32,4 +32,4 @@ def _count_trailing(typing_context: Any, word: Any) -> Any:
 
 
 trailing_zeros: Any = intrinsic(_count_trailing)
-"""Number of zero bits below the lowest set one of a uint64 that is not 0; only inside ``@njit`` functions."""
+"""Number of zero bits below the lowest set one of a uint64 that is not 0; only inside compiled functions."""

@@ -17,9 +17,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from mixo_env.compiled import compiled
 from mixo_env.experts.monocular.camera import MountedCamera
 from mixo_env.experts.monocular.kinematics import camera_motion, never_zero
 from mixo_env.experts.monocular.motion import Motion, MotionPrior
@@ -37,7 +37,7 @@ _ITERATIONS = 6
 _UNKNOWNS = ("yaw_rad", "pitch_rad", "roll_rad", "slip_m", "heave_m")
 
 
-@njit(cache=True)
+@compiled
 def _inverse_depths(
     first: FloatArray, second: FloatArray, m: FloatArray, t: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
@@ -60,7 +60,7 @@ def _inverse_depths(
     return depth, reach
 
 
-@njit(cache=True)
+@compiled
 def _errors(
     first: FloatArray, second: FloatArray, depth: FloatArray, m: FloatArray, t: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
@@ -88,7 +88,7 @@ def _errors(
     return along, reach
 
 
-@njit(cache=True)
+@compiled
 def _second_motion(
     p0: FloatArray,
     p1: FloatArray,

@@ -10,9 +10,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from mixo_env.compiled import compiled
 from mixo_env.experts.monocular.bits import trailing_zeros
 
 BORDER_PX = 19
@@ -53,7 +53,7 @@ _DISC = np.array(
 )  # mask of the round orientation patch, an empty 32nd column added
 
 
-@njit(cache=True)
+@compiled
 def _largest_minimum(ring: tuple[int, ...]) -> int:
     """Largest, over the 16 runs of nine in a row, of the run's smallest value; runs k and k + 1 share eight."""
     d0, d1, d2, d3, d4, d5, d6, d7, d8, d9, d10, d11, d12, d13, d14, d15 = ring
@@ -71,7 +71,7 @@ def _largest_minimum(ring: tuple[int, ...]) -> int:
     return max(best, min(min(b15, b3), max(d14, d7)))
 
 
-@njit(cache=True)
+@compiled
 def _smallest_maximum(ring: tuple[int, ...]) -> int:
     """The mirror of :func:`_largest_minimum`."""
     d0, d1, d2, d3, d4, d5, d6, d7, d8, d9, d10, d11, d12, d13, d14, d15 = ring
@@ -89,7 +89,7 @@ def _smallest_maximum(ring: tuple[int, ...]) -> int:
     return min(best, max(max(b15, b3), min(d14, d7)))
 
 
-@njit(cache=True)
+@compiled
 def corner_scores(image: NDArray[np.uint8], first: int, scores: NDArray[np.uint8]) -> None:
     """FAST-9 scores of consecutive rows, 0 within ``BORDER_PX`` of the edge.
 
@@ -123,7 +123,7 @@ def corner_scores(image: NDArray[np.uint8], first: int, scores: NDArray[np.uint8
             out[x] = max(brighter, np.uint8(c - min(_smallest_maximum(ring), c)))
 
 
-@njit(cache=True)
+@compiled
 def _keep_peaks(scores: NDArray[np.uint8], low: int, peaks: NDArray[np.uint8]) -> None:
     """Of all rows but the first and the last: scores above ``low`` that are the maximum of their 3 x 3 neighbourhood.
 
@@ -141,7 +141,7 @@ def _keep_peaks(scores: NDArray[np.uint8], low: int, peaks: NDArray[np.uint8]) -
             out[x] = s * np.uint8((s > before) & (s >= after))
 
 
-@njit(cache=True)
+@compiled
 def _cell_peaks(
     image: NDArray[np.uint8], high: int, low: int, wanted: int
 ) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
@@ -188,7 +188,7 @@ def _cell_peaks(
     return key, start
 
 
-@njit(cache=True)
+@compiled
 def grid_corners(image: NDArray[np.uint8], high: int, low: int, wanted: int, quota: int) -> NDArray[np.int32]:
     """Corners spread evenly: the best of every grid cell first, then the second best of every cell, and so on.
 
@@ -243,7 +243,7 @@ def grid_corners(image: NDArray[np.uint8], high: int, low: int, wanted: int, quo
     return out[:total]
 
 
-@njit(cache=True)
+@compiled
 def orientations(image: NDArray[np.uint8], corners: NDArray[np.int32]) -> NDArray[np.float32]:
     """Direction [rad] ``(n,)`` from corners ``(n, >=2)`` x, y to the centroid of the grey values about them.
 
@@ -272,7 +272,7 @@ def orientations(image: NDArray[np.uint8], corners: NDArray[np.int32]) -> NDArra
     return angle
 
 
-@njit(cache=True)
+@compiled
 def descriptors(
     smooth: NDArray[np.uint8], corners: NDArray[np.int32], angle: NDArray[np.float32]
 ) -> NDArray[np.uint64]:

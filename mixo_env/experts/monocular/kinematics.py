@@ -12,15 +12,16 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from mixo_env.compiled import compiled
 
 FloatArray = NDArray[np.float64]
 
 _STILL_M = 1e-4  # stands for zero distance, keeps epipolar directions defined; below 0.1 px everywhere
 
 
-@njit(cache=True)
+@compiled
 def never_zero(distance: float) -> float:
     """Distance [m], kept off zero so that epipolar directions stay defined."""
     if abs(distance) < _STILL_M:
@@ -28,7 +29,7 @@ def never_zero(distance: float) -> float:
     return distance
 
 
-@njit(cache=True)
+@compiled
 def camera_displacement(yaw: float, distance: float, lever_x: float, lever_y: float) -> tuple[float, float]:
     """Displacement x, y [m] of a camera at the lever arm while the rear axle follows an arc, in first ego axes."""
     half = 0.5 * yaw
@@ -39,7 +40,7 @@ def camera_displacement(yaw: float, distance: float, lever_x: float, lever_y: fl
     return x, y
 
 
-@njit(cache=True)
+@compiled
 def tilted_rotation(yaw: float, pitch: float, roll: float) -> FloatArray:
     """R_z(yaw) R_y(pitch) R_x(roll), ``(3, 3)``."""
     cz, sz, cy, sy, cx, sx = (
@@ -59,7 +60,7 @@ def tilted_rotation(yaw: float, pitch: float, roll: float) -> FloatArray:
     )
 
 
-@njit(cache=True)
+@compiled
 def camera_motion(
     motion: FloatArray, distance: float, rotation: FloatArray, position: FloatArray
 ) -> tuple[FloatArray, FloatArray]:

@@ -11,9 +11,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from mixo_env.compiled import compiled
 from mixo_env.experts.monocular.bits import population_count, trailing_zeros
 from mixo_env.experts.monocular.features import Features
 
@@ -25,7 +25,7 @@ _BLOCK = 16  # candidates tested at a time
 _REACH = math.ceil(_TURN_RAD / (2.0 * math.pi) * _SECTORS)
 
 
-@njit(cache=True)
+@compiled
 def _sort(bucket: NDArray[np.int32], buckets: int) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
     """Indices sorted by bucket (stable), and where each bucket starts: ``(buckets + 1,)``."""
     start = np.zeros(buckets + 1, np.int32)
@@ -41,19 +41,19 @@ def _sort(bucket: NDArray[np.int32], buckets: int) -> tuple[NDArray[np.int32], N
     return order, start
 
 
-@njit(cache=True)
+@compiled
 def _sector(angle: float) -> int:
     return int((angle / (2.0 * math.pi) + 1.0) * _SECTORS) % _SECTORS
 
 
-@njit(cache=True)
+@compiled
 def _at_most(limit: float) -> np.float32:
     """Largest single precision number that is not above a limit: comparing with either is the same."""
     near = np.float32(limit)
     return near if near <= limit else np.nextafter(near, np.float32(-np.inf))
 
 
-@njit(cache=True)
+@compiled
 def _compare_looks(
     look: NDArray[np.float32],
     looks: NDArray[np.float32],
@@ -86,7 +86,7 @@ def _compare_looks(
         )
 
 
-@njit(cache=True)
+@compiled
 def _mutual(
     nodes1: NDArray[np.int32],
     node2: NDArray[np.int32],

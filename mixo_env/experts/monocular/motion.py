@@ -20,9 +20,9 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from mixo_env.compiled import compiled
 from mixo_env.experts.monocular.kinematics import camera_displacement, never_zero, tilted_rotation
 
 FloatArray = NDArray[np.float64]
@@ -96,7 +96,7 @@ class Motion:
     residual: float
 
 
-@njit(cache=True)
+@compiled
 def _least_inverse_depth(u: float, v: float, rotation: FloatArray, height: float) -> float:
     """Inverse depth [1/m] of the road where the ray (u, v, 1) meets it, 0 above the horizon: nothing lies behind it.
 
@@ -108,7 +108,7 @@ def _least_inverse_depth(u: float, v: float, rotation: FloatArray, height: float
     return max(0.0, -z - _SLOPE * math.sqrt(x * x + y * y)) / (height + _DIP_M)
 
 
-@njit(cache=True)
+@compiled
 def vote_yaw(
     first: FloatArray,
     second: FloatArray,
@@ -171,7 +171,7 @@ def vote_yaw(
     return yaw, scores[k]
 
 
-@njit(cache=True)
+@compiled
 def refine_motion(
     first: FloatArray,
     second: FloatArray,

@@ -12,9 +12,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from mixo_env.compiled import compiled
 from mixo_env.errors import ConfigurationError, DatasetError
 from mixo_env.experts.monocular.bits import population_count
 from mixo_env.files import atomic_path
@@ -124,7 +124,7 @@ def _cluster(
     return centres, label
 
 
-@njit(cache=True)
+@compiled
 def _nearest(word: NDArray[np.uint64], centres: NDArray[np.uint64]) -> int:
     best, at = 512, 0
     for k in range(len(centres)):
@@ -136,7 +136,7 @@ def _nearest(word: NDArray[np.uint64], centres: NDArray[np.uint64]) -> int:
     return at
 
 
-@njit(cache=True)
+@compiled
 def _assign(descriptor: NDArray[np.uint64], centres: NDArray[np.uint64], label: NDArray[np.int32]) -> int:
     changed = 0
     for i in range(len(descriptor)):
@@ -146,7 +146,7 @@ def _assign(descriptor: NDArray[np.uint64], centres: NDArray[np.uint64], label: 
     return changed
 
 
-@njit(cache=True)
+@compiled
 def _majority(descriptor: NDArray[np.uint64], label: NDArray[np.int32], centres: NDArray[np.uint64]) -> None:
     k = len(centres)
     ones = np.zeros((k, 256), np.int64)
@@ -166,7 +166,7 @@ def _majority(descriptor: NDArray[np.uint64], label: NDArray[np.int32], centres:
             centres[j, w] = word
 
 
-@njit(cache=True)
+@compiled
 def nearest_words(descriptor: NDArray[np.uint64], words: NDArray[np.uint64], count: int) -> NDArray[np.int32]:
     """Words ``(k, 4)`` nearest to each descriptor ``(n, 4)``, the nearest first: indices ``(n, count)``."""
     n, k = len(descriptor), len(words)
