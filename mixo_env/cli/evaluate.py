@@ -121,7 +121,8 @@ class Evaluate:
         return "\n".join(render(table) for table in several(numbers))
 
     def _save(self, out: Path, scores: Sequence[MethodScore], convention: Convention, numbers: dict[str, Any]) -> None:
-        from mixo_env.cli.results import point_latest, run_folder, write_json, write_text
+        from mixo_env.cli.results import point_latest, run_folder
+        from mixo_env.files import write_json, write_text
         from mixo_env.scoring.evo_results import write_evo_result
         from mixo_env.scoring.score_tables import by_length, by_scene, headline, several
 
