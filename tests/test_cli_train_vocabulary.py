@@ -36,7 +36,7 @@ def test_trains_the_same_words_again_and_others_from_another_seed(
 ) -> None:
     one, two, other = (tmp_path / f"{name}.npy" for name in ("one", "two", "other"))
     assert train(root, one, "--share", "0.5", "--seed", "4") == 0
-    message = "".join(capsys.readouterr().err.split())
+    message = "".join(capsys.readouterr().out.split())
     assert "10x10wordsfrom" in message
     assert "50%oftheimages" in message
     assert train(root, two, "--share", "0.5", "--seed", "4") == 0

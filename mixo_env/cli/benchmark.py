@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 if TYPE_CHECKING:
     from mixo_env.leaderboard.board import Leaderboard
@@ -20,6 +20,8 @@ class Benchmark:
       mixo benchmark --recordings recorded              on your own, from `mixo record`
       mixo benchmark --tracks CONSUMER --policies LINEAR MIXO highest-match
     """
+
+    interrupted: ClassVar[str] = "nothing was written: a table is computed in one go"
 
     recordings: Path | None = None
     """Folder written by `mixo record`, or the name of a bundled recording. None: the bundled mixocity."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 import tyro
 
@@ -30,6 +30,8 @@ class Evaluate:
       mixo evaluate --groundtruth 07.txt --estimate est.txt --lengths 100 200 --json  all statistics
       mixo evaluate --groundtruth gt.txt --estimate orb.txt --pairs rpg --align sim3  as rpg_trajectory_evaluation
     """
+
+    interrupted: ClassVar[str] = "nothing was written"
 
     groundtruth: Path
     """Ground truth: a file, or a folder of scenes."""

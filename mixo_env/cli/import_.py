@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import ClassVar, Literal
 
 from tyro.conf import Positional
 
@@ -22,6 +22,8 @@ class Import:
       mixo import mixocity --expert ORB-SLAM3 --trajectories tum/ --axes camera --out with-orb
       mixo benchmark --recordings with-orb                                what to do next
     """
+
+    interrupted: ClassVar[str] = "nothing was written"
 
     recordings: Positional[str]
     """Folder written by `mixo record`, or the name of a bundled recording."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import tyro
 
@@ -23,6 +23,8 @@ class Inspect:
       mixo inspect /data/nuscenes --version v1.0-trainval --scenes scene-0061 scene-0103
       mixo inspect my-city --json > report.json
     """
+
+    interrupted: ClassVar[str] = "nothing was written"
 
     root: tyro.conf.Positional[Path]
     """Folder that holds v1.0-*, samples, sweeps and can_bus."""

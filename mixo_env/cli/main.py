@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import sys
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 DESCRIPTION = """MixoOdometry: how much to trust each camera of a car's rig.
 
@@ -15,6 +15,9 @@ the data, 2 wrong usage. `-v` says more about what happens.
 
 class Command(Protocol):
     """A frozen dataclass whose fields are the command line."""
+
+    interrupted: ClassVar[str]
+    """What is left when it is stopped half-way, and how to go on."""
 
     def run(self) -> int:
         """Do the work and return the exit code: 0 good, 1 something wrong in the data, 2 wrong usage."""
@@ -51,6 +54,7 @@ def main(argv: list[str] | None = None) -> int:
     arguments = sys.argv[1:] if argv is None else argv
     verbose = "-v" in arguments
     logging.basicConfig(format="%(message)s", level=logging.INFO if verbose else logging.WARNING)
+    left = "nothing was done"
     try:
         command: Command = tyro.extras.subcommand_cli_from_dict(
             commands(),
@@ -58,6 +62,7 @@ def main(argv: list[str] | None = None) -> int:
             description=DESCRIPTION,
             args=[argument for argument in arguments if argument != "-v"],
         )
+        left = command.interrupted
         return command.run()
     except ConfigurationError as error:
         print(f"mixo: {error}", file=sys.stderr)
@@ -66,7 +71,7 @@ def main(argv: list[str] | None = None) -> int:
         print(f"mixo: {error}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
-        print("mixo: interrupted; finished scenes are kept and a rerun continues", file=sys.stderr)
+        print(f"mixo: interrupted; {left}", file=sys.stderr)
         return 130
 
 

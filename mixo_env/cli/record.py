@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import ClassVar, Literal
 
 from tyro.conf import Positional
 
@@ -27,6 +27,8 @@ class Record:
       mixo record city --out recorded --retrained CAM_BACK_RIGHT          rows "w/ retrained vocabulary" of the paper
       mixo benchmark --recordings recorded                                what to do next
     """
+
+    interrupted: ClassVar[str] = "recorded scenes are kept, and the same command continues"
 
     root: Positional[Path]
     """Folder that holds v1.0-*, samples, sweeps and can_bus."""

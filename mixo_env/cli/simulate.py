@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, ClassVar
 
 import tyro
 
@@ -27,6 +27,8 @@ class Simulate:
       mixo simulate city --only scene-2001 scene-2004         two of the 12 scenes; the others can follow later
     """
 
+    interrupted: ClassVar[str] = "finished scenes are kept, and the same command continues"
+
     out: Annotated[Path, tyro.conf.Positional]
     """Folder to write; new, or of an interrupted run."""
     config: Annotated[SimulationConfig, tyro.conf.arg(name="")] = field(default_factory=SimulationConfig)
@@ -38,22 +40,12 @@ class Simulate:
 
     def run(self) -> int:
         """Simulate and show progress."""
-        from rich.console import Console
-        from rich.progress import Progress
-
+        from mixo_env.cli.progress import progress
         from mixo_env.simulator.dataset import VERSION, simulate
 
-        console = Console()
         scenes = len(set(self.only)) or self.config.scenes
-        with Progress(console=console, transient=True) as bar:
-            task = bar.add_task("simulating scenes", total=scenes)
-            simulate(
-                self.config,
-                self.out,
-                workers=self.workers,
-                progress=lambda done, total: bar.update(task, completed=done, total=total),
-                only=self.only,
-            )
-        console.print(f"{scenes} scenes ({VERSION}) in {self.out}", highlight=False)
-        console.print(f"next: mixo record {self.out} --out {self.out}-recordings", highlight=False)
+        with progress("simulating scenes") as report:
+            simulate(self.config, self.out, workers=self.workers, progress=report, only=self.only)
+        print(f"{scenes} scenes ({VERSION}) in {self.out}")
+        print(f"next: mixo record {self.out} --out {self.out}-recordings")
         return 0

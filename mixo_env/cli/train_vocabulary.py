@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import ClassVar, Literal
 
 from tyro.conf import Positional
 
@@ -22,6 +22,8 @@ class TrainVocabulary:
       mixo train-vocabulary city --out words.npy                                     all four cameras
       mixo train-vocabulary city --out right.npy --cameras CAM_BACK_RIGHT --scenes scene-2001 scene-2002
     """
+
+    interrupted: ClassVar[str] = "nothing was written"
 
     root: Positional[Path]
     """Folder that holds v1.0-*, samples and sweeps."""
@@ -43,9 +45,8 @@ class TrainVocabulary:
     def run(self) -> int:
         """Train, save and say how even the words are."""
         import numpy as np
-        from rich.console import Console
-        from rich.progress import track
 
+        from mixo_env.cli.progress import progress
         from mixo_env.errors import ConfigurationError
         from mixo_env.experts.monocular.config import MonocularConfig
         from mixo_env.experts.monocular.vocabulary import train_vocabulary
@@ -58,18 +59,18 @@ class TrainVocabulary:
         writable_folder(self.out.parent)  # now, not after minutes of work
         config = MonocularConfig.preset(self.preset)
         dataset = open_dataset(self.root, self.version)
-        console = Console(stderr=True)
         pieces = [(name, camera) for name in self.scenes or dataset.scene_names for camera in self.cameras]
-        words = [
-            scene_descriptors(dataset, name, camera, config, self.share, self.seed)
-            for name, camera in track(pieces, "looking", console=console, disable=not console.is_terminal)
-        ]
+        words = []
+        with progress("looking at cameras of scenes") as report:
+            for done, (name, camera) in enumerate(pieces, start=1):
+                words.append(scene_descriptors(dataset, name, camera, config, self.share, self.seed))
+                report(done, len(pieces))
         descriptor = np.concatenate([np.empty((0, 4), np.uint64), *words])
         vocabulary = train_vocabulary(descriptor, seed=self.seed)
         vocabulary.save(self.out)
         count = np.bincount(vocabulary.nearest(descriptor)[:, 0], minlength=len(vocabulary))
         share = count / count.sum()
-        console.print(
+        print(
             f"{self.out}: {vocabulary.branches} x {vocabulary.branches} words from {len(descriptor):,} corners in "
             f"{self.share:.0%} of the images; words hold {share.min():.2%} to {share.max():.2%}"
         )
