@@ -40,5 +40,7 @@ format: .venv/installed
 	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev,cluster,integrations]'
 	touch $@
 
-clean:
+clean:  ## everything made here, machine code kept between runs included
 	rm -rf .venv build dist *.egg-info results
+	rm -rf "$${XDG_CACHE_HOME:-$$HOME/.cache}/mixo-env/numba" $(if $(NUMBA_CACHE_DIR),$(NUMBA_CACHE_DIR)/mixo_env.*-*)
+	find . -name '*.nb[ic]' -delete

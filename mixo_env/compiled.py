@@ -4,7 +4,8 @@ Numba bakes constants and functions of other files into a function's machine cod
 file to tell whether code on disk is still good. Here the folder of that code carries a hash over every file of this
 package that the function's module imports, directly or not: what was edited is compiled anew, what was put back is
 found again. Numba chooses the folder when a function is decorated, so its setting is changed for that moment only and
-the functions of other packages stay where they were.
+the functions of other packages stay where they were. A function has one decorator: numba does not tell the code of
+different options apart.
 
 No function closes over the content of a data file; one that did would need that file in the hash as well.
 """
