@@ -40,7 +40,7 @@ FULL_SIZE = replace(CONFIG, width=1600, height=900)
 RETRAINED = ("CAM_BACK_RIGHT", "CAM_FRONT_LEFT")
 """Cameras that the paper gives a vocabulary of their own."""
 
-DATA_VERSION = "0.5"
+DATA_VERSION = "0.6"
 
 Stage = Literal["simulate", "vocabularies", "record", "simulate-paper", "record-paper"]
 

@@ -61,7 +61,8 @@ def synthetic_scene(rng: np.random.Generator, steps: int) -> dict[str, np.ndarra
         table[f"{camera}.own_window_truth_yaw_increment_rad"][1:] = increment
         table[f"{camera}.image_time_offset_s"][:] = -0.01
         table[f"{camera}.own_window_s"][1:] = dt
-        table[f"{camera}.yaw_std_rad"][tracking] = (noise * quality)[tracking]
+        for name, told in (("yaw_std_rad", both), ("own_window_yaw_std_rad", tracking)):
+            table[f"{camera}.{name}"][told] = (noise * quality)[told]
         matches = np.where(state == State.LOST, 30, np.round(800 / quality))
         table[f"{camera}.matches"][:] = np.where(state == State.NO_IMAGE, 0, matches)
         table[f"{camera}.inliers"][:] = 0.7 * table[f"{camera}.matches"]

@@ -1,4 +1,4 @@
-"""The causal clock: which images belong to one firing round, when a step closes, and what carries an increment there.
+"""The causal clock: which images belong to one firing round, and when a step closes.
 
 The cameras of the nuScenes rig fire one after another, when the lidar passes their field of view, up to 43 ms apart and
 on a 50 ms grid with gaps (intervals of 100, 100, 50 ms, now and then a dropped frame). Images of one turn of the lidar
@@ -11,12 +11,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from mixo_env.errors import DatasetError
 from mixo_env.nuscenes.selections import CAMERA_OFFSET_US, LIDAR_PERIOD_US
 
-FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 
 NONE = -1
@@ -95,22 +94,3 @@ def firing_rounds(timestamps_us: Mapping[str, IntArray]) -> Rounds:
         raise DatasetError(f"no firing round in which all of {', '.join(cameras)} delivered an image")
     start = complete[0]
     return Rounds(cameras, images[start:], times[start:], times[start:].argmax(axis=1), closing[start:])
-
-
-def carry(own_increment_rad: ArrayLike, tail_rad: ArrayLike) -> FloatArray:
-    """Increments over a camera's own image windows, carried to the steps by inertial yaw.
-
-    (t^c_{k-1}, t^c_k] becomes (t_{k-1}, t_k]: the inertial turn between the camera's image and the end of its round,
-    the tail of at most 45 ms, is added at the end of the window and taken off at its start.
-
-    Args:
-        own_increment_rad: ``(rounds,)`` increment since the camera's previous image; NaN where there is none.
-        tail_rad: ``(rounds,)`` inertial yaw at t_k minus that at the camera's image; NaN where it did not fire.
-
-    Returns:
-        ``(rounds,)``; NaN in round 0 and wherever the image of this or the previous round is missing.
-    """
-    tail = np.asarray(tail_rad, dtype=np.float64)
-    carried = np.full(tail.shape, np.nan)
-    carried[1:] = np.asarray(own_increment_rad, dtype=np.float64)[1:] + tail[1:] - tail[:-1]
-    return carried

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mixo_env.errors import RecordingError
 from mixo_env.experts.expert import State
+from mixo_env.recordings.carry import carry, own_windows
 from mixo_env.recordings.collection import Column, Recordings
 from mixo_env.recordings.fitting import with_fits
 
@@ -19,12 +22,14 @@ def at_keyframes(recordings: Recordings) -> Recordings:
     """The recordings with one step from key frame to key frame, as with ``ground_truth="keyframes"`` in the paper.
 
     Increments, distances and times add up; one that is missing in between leaves the whole step without, and its
-    camera LOST. Variances add up, counts and pixels are averaged, everything else is taken at the key frame. What was
+    camera LOST. What one carried increment of a camera takes off at its start, the one before has added at its end: of
+    a sum only both ends are carried, and its standard deviation is told anew from the own windows. Variances of
+    inertial experts add up, counts and pixels are averaged, everything else is taken at the key frame. What was
     recorded before a scene's first and after its last key frame is left out. LINEAR and the reward scale are fitted
     anew.
 
     Raises:
-        RecordingError: if a scene has fewer than two key frames.
+        RecordingError: if a scene has fewer than two key frames, or for recordings without own-window columns.
     """
     scenes, kept, row_of_step = [], [], []
     for i, scene in enumerate(recordings.scenes):
@@ -52,7 +57,7 @@ def at_keyframes(recordings: Recordings) -> Recordings:
         values, short = recordings[name], name.rpartition(".")[2]
         if short.endswith(_SUMMED):
             result = summed(values)
-        elif short == "yaw_std_rad":
+        elif short.endswith("yaw_std_rad"):
             result = np.sqrt(summed(np.square(values, dtype=np.float64)))
         elif short in _AVERAGED:
             result = summed(values) / np.diff(keep, prepend=keep[0] - 1).clip(1)
@@ -62,8 +67,31 @@ def at_keyframes(recordings: Recordings) -> Recordings:
     columns["step"] = np.concatenate([np.arange(scene.rows, dtype=np.int32) for scene in scenes])
     columns["dt_s"][starts] = 0.0
     columns["time_s"] = columns["time_s"] - np.repeat(columns["time_s"][starts], [scene.rows for scene in scenes])
+    columns |= _camera_stds(recordings, kept)
     for camera in (*recordings.manifest.cameras, *recordings.manifest.variants):
         state = columns[f"{camera}.state"]
         complete = np.isfinite(columns[f"{camera}.yaw_increment_rad"])
         state[~starts] = np.where(complete, State.TRACKING, State.LOST)[~starts]
     return with_fits(Recordings(replace(recordings.manifest, scenes=tuple(scenes)), columns))
+
+
+def _camera_stds(recordings: Recordings, keyframes: Sequence[NDArray[np.int64]]) -> dict[str, Column]:
+    """Standard deviations of the cameras' summed increments, carried and over their own windows.
+
+    Args:
+        recordings: at the full rate.
+        keyframes: by scene, its rows among all rows.
+    """
+    experts: Mapping[str, str] = {camera: camera for camera in recordings.manifest.cameras}
+    experts |= recordings.manifest.variants
+    stds: dict[str, Column] = {}
+    for expert, camera in experts.items():
+        carried, own = [], []
+        for i, rows in enumerate(keyframes):
+            windows = own_windows(recordings.rows(i), expert, camera)
+            closing = rows - recordings.offsets[i]
+            carried.append(carry(windows, closing)[1])
+            own.append(carry(replace(windows, tail_s=np.zeros_like(windows.tail_s)), closing)[1])
+        for name, values in (("yaw_std_rad", carried), ("own_window_yaw_std_rad", own)):
+            stds[f"{expert}.{name}"] = np.concatenate(values).astype(recordings[f"{expert}.{name}"].dtype)
+    return stds

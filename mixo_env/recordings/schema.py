@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 
 INERTIAL_EXPERTS = ("INERTIAL", "INERTIAL_POSE", "INERTIAL_CONSUMER")
 """wheels + ms_imu; the paper's CAN ``pose``; wheels + vehicle_monitor or production-grade gyro."""
@@ -53,10 +53,12 @@ CAMERA_COLUMNS: dict[str, str] = {
     "image_time_offset_s": "float32",  # own image time - t_k (<= 0); NaN without an image
     "own_window_s": "float32",  # time since the camera's previous image; NaN without one
     "own_window_yaw_increment_rad": "float32",  # raw, over the own window; NaN unless TRACKING
-    "yaw_increment_rad": "float32",  # over (t_{k-1}, t_k]: carried; NaN unless TRACKING with images in both rounds
-    "two_frame_yaw_increment_rad": "float32",  # stateless, from two images alone, carried alike; NaN if it fails
+    "own_window_yaw_std_rad": "float32",  # standard deviation of that increment
+    "yaw_increment_rad": "float32",  # over (t_{k-1}, t_k]: carried by the camera's own rate (``carry.py``); NaN unless
+    # TRACKING with images in both rounds
+    "two_frame_yaw_increment_rad": "float32",  # stateless, from two images alone, scaled to the step; NaN if it fails
     "own_window_truth_yaw_increment_rad": "float64",  # from the poses at the camera's own times
-    "yaw_std_rad": "float32",
+    "yaw_std_rad": "float32",  # standard deviation of the carried increment
     "matches": "float32",  # matched features
     "inliers": "float32",
     "residual_px": "float32",  # median reprojection residual of the inliers

@@ -20,7 +20,8 @@ from mixo_env.errors import DatasetError
 from mixo_env.experts.expert import CameraExpert, CameraStep, State
 from mixo_env.experts.inertial import InertialTrack
 from mixo_env.nuscenes.scene import CameraCalibration, CameraTrack, CanBus, Scene
-from mixo_env.recordings.clock import carry, firing_rounds
+from mixo_env.recordings.carry import carry_camera
+from mixo_env.recordings.clock import firing_rounds
 from mixo_env.recordings.schema import INERTIAL_EXPERTS, empty_columns
 from mixo_env.recordings.truth import exact_truth, own_window_truth, step_truth
 
@@ -113,17 +114,15 @@ def record_scene(scene: Scene, experts: Experts) -> tuple[Columns, Columns]:
         rows = np.flatnonzero(rounds.fired[:, j])
         image = rounds.image[rows, j]
         at_image = np.searchsorted(times, track.timestamp_us[image])
-        tail = np.full(len(rounds), np.nan)
-        tail[rows] = inertial.yaw_rad[at_close[rows]] - inertial.yaw_rad[at_image]
+        columns[f"{camera}.image_time_offset_s"][rows] = 1e-6 * (track.timestamp_us[image] - closing[rows])
+        columns[f"{camera}.own_window_s"][rows[1:]] = 1e-6 * np.diff(track.timestamp_us[image])
+        columns[f"{camera}.own_window_truth_yaw_increment_rad"][:] = own_window_truth(track, rounds.image[:, j])
         made = {camera: experts.camera}
         made |= {name: make for name, (of, make) in experts.variants.items() if of == camera}
         for name, make in made.items():
             steps, timing = _run_camera(name, make(track.calibration), track, image, inertial.distance_m[at_image])
             timings.append(timing | {"scene": np.full(len(image), scene.name, object)})
-            _record_camera(columns, name, steps, rows, tail)
-        columns[f"{camera}.image_time_offset_s"][rows] = 1e-6 * (track.timestamp_us[image] - closing[rows])
-        columns[f"{camera}.own_window_s"][rows[1:]] = 1e-6 * np.diff(track.timestamp_us[image])
-        columns[f"{camera}.own_window_truth_yaw_increment_rad"][:] = own_window_truth(track, rounds.image[:, j])
+            _record_camera(columns, name, camera, steps, rows)
     return columns, {name: np.concatenate([timing[name] for timing in timings]) for name in TIMING_COLUMNS}
 
 
@@ -167,26 +166,25 @@ def _run_camera(
 
 
 def _record_camera(
-    columns: Columns, camera: str, steps: list[CameraStep], rows: NDArray[np.int64], tail_rad: NDArray[np.float64]
+    columns: Columns, expert: str, camera: str, steps: list[CameraStep], rows: NDArray[np.int64]
 ) -> None:
     """Columns of one camera from what its expert said; rows without an image stay NaN.
 
     Args:
-        columns: filled in place.
-        camera: name of the expert.
+        columns: filled in place; the columns of the camera's images are there.
+        expert: the camera or a variant of it.
+        camera: whose images it saw.
         steps: one for each of ``rows``.
         rows: rounds in which the camera fired.
-        tail_rad: ``(rounds,)`` inertial turn between the camera's image and t_k; NaN where it did not fire.
     """
-    columns[f"{camera}.state"][:] = State.NO_IMAGE
-    for name in ("state", "yaw_std_rad", "matches", "inliers", "residual_px", "flow_px"):
-        columns[f"{camera}.{name}"][rows] = [getattr(step, name) for step in steps]
-    own, two_frame = np.full((2, len(tail_rad)), np.nan)
-    own[rows] = [step.yaw_increment_rad for step in steps]
+    columns[f"{expert}.state"][:] = State.NO_IMAGE
+    for name in ("state", "matches", "inliers", "residual_px", "flow_px"):
+        columns[f"{expert}.{name}"][rows] = [getattr(step, name) for step in steps]
+    for name in ("yaw_increment_rad", "yaw_std_rad"):
+        columns[f"{expert}.own_window_{name}"][rows] = [getattr(step, name) for step in steps]
+    two_frame = np.full(len(columns["step"]), np.nan)
     two_frame[rows] = [step.two_frame_yaw_increment_rad for step in steps]
-    columns[f"{camera}.own_window_yaw_increment_rad"][:] = own
-    columns[f"{camera}.yaw_increment_rad"][:] = carry(own, tail_rad)
-    columns[f"{camera}.two_frame_yaw_increment_rad"][:] = carry(two_frame, tail_rad)
+    carry_camera(columns, expert, camera, two_frame)
 
 
 def read_grey(path: Path, halvings: int = 0) -> NDArray[np.uint8]:

@@ -1,12 +1,14 @@
-"""Ground truth of a recording: ego poses at the images' own times, never at anything else."""
+"""Ground truth of a recording: ego poses at the images' own times, and a simulator's noise-free ones."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from mixo_env.errors import RecordingError
 from mixo_env.geometry import wrap_angle_rad
 from mixo_env.nuscenes.scene import CameraTrack, ExactPoses
 from mixo_env.recordings.clock import Rounds
@@ -65,3 +67,46 @@ def own_window_truth(track: CameraTrack, image: NDArray[np.int64]) -> FloatArray
     fired = np.flatnonzero(image >= 0)
     increment[fired[1:]] = wrap_angle_rad(np.diff(track.yaw_rad[image[fired]]))
     return increment
+
+
+def exact_own_window_increments(columns: Mapping[str, NDArray[Any]], camera: str) -> FloatArray:
+    """Noise-free yaw increment of one camera since its previous image, from a simulator's truth.
+
+    ``exact.yaw_rad`` is known at the closing times; between them a cubic through the four nearest says where the car
+    headed at each image.
+
+    Args:
+        columns: of one scene, ``(rows,)`` each.
+        camera: whose image times.
+
+    Returns:
+        ``(rows,)`` rad, beside ``own_window_truth_yaw_increment_rad``; NaN without an image, at the camera's first one,
+        where the one before was taken before t_0, and on real data.
+
+    Raises:
+        RecordingError: for recordings without own-window columns.
+    """
+    name = f"{camera}.image_time_offset_s"
+    if name not in columns:
+        raise RecordingError(f"recordings without own-window columns ({name}): record anew")
+    offset = 1e-6 * np.rint(1e6 * columns[name].astype(np.float64))
+    fired = np.flatnonzero(np.isfinite(offset))
+    increment = np.full(len(offset), np.nan)
+    yaw = _cubic(columns["time_s"][fired] + offset[fired], columns["time_s"], columns["exact.yaw_rad"])
+    increment[fired[1:]] = np.diff(yaw)
+    return increment
+
+
+def _cubic(at: ArrayLike, known: FloatArray, values: FloatArray) -> FloatArray:
+    """Cubic through the four samples nearest to each time (fewer if there are fewer); NaN outside their span."""
+    at = np.asarray(at, dtype=np.float64)
+    count = min(4, len(known))
+    first = np.clip(np.searchsorted(known, at, side="right") - 2, 0, len(known) - count)
+    result = np.zeros(at.shape)
+    for i in range(count):
+        weight = np.ones(at.shape)
+        for j in range(count):
+            if j != i:
+                weight *= (at - known[first + j]) / (known[first + i] - known[first + j])
+        result += weight * values[first + i]
+    return np.where((at >= known[0]) & (at <= known[-1]), result, np.nan)

@@ -1,0 +1,178 @@
+"""From a camera's own image windows to the steps: each increment is carried by the camera's own rate, held.
+
+A camera tells its increment over (t^c_{k-1}, t^c_k], from image to image; step k is (t_{k-1}, t_k]. Between its image
+and the end of the round lies the tail a_k = t_k - t^c_k >= 0. The rate of the window, r_k = increment / w_k, is held
+over the tail: r_k a_k is added at the end of the window and r_{k-1} a_{k-1}, which the step before has already
+counted, taken off at its start. So the steps of a camera add up to its own increments and a tail at both ends. No
+yaw-rate sensor and no pose enters.
+
+Where round k-1 has an image but no rate (the first step, a LOST camera), the rate of window k is held backwards over
+that tail as well: the own increment is scaled to the length of the step.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from mixo_env.errors import RecordingError
+
+FloatArray = NDArray[np.float64]
+
+YAW_ACCELERATION_RADPS2 = 0.14
+"""Root mean square of the yaw acceleration of 68 real nuScenes drives (as in ``experts/monocular/turn.py``)."""
+
+YAW_ACCELERATION_TIME_S = 0.8
+"""Correlation time of the yaw acceleration on mixocity: .96 after one step, .36 after six; the error of a held rate
+hence correlates by .90 from tail to tail."""
+
+NOISE_CORRELATION = 0.35
+"""Of the errors of successive own increments on mixocity, by camera: .26 to .46."""
+
+
+@dataclass(frozen=True)
+class OwnWindows:
+    """What one camera says over its own image windows in one scene, row by row; NaN where there is nothing.
+
+    Attributes:
+        increment_rad: ``(rows,)`` raw increment since its previous image.
+        std_rad: ``(rows,)`` standard deviation of that increment.
+        window_s: ``(rows,)`` time since its previous image.
+        tail_s: ``(rows,)`` from its image to the end of the round.
+    """
+
+    increment_rad: FloatArray
+    std_rad: FloatArray
+    window_s: FloatArray
+    tail_s: FloatArray
+
+
+@dataclass(frozen=True)
+class _Step:
+    """A carried step as a linear form: ``weights @ increments[first : last + 1]``.
+
+    Attributes:
+        weights: of the increments of rows ``first`` to ``last``.
+        end_s2, start_s2: error of the held tail per unit of yaw acceleration, at either end of the step.
+        apart_s: between the two windows whose accelerations these are.
+    """
+
+    first: int
+    last: int
+    weights: FloatArray
+    end_s2: float
+    start_s2: float
+    apart_s: float
+
+    def increment(self, own: OwnWindows) -> float:
+        """The carried increment [rad]; NaN if one that counts is missing."""
+        return float(self._form(own.increment_rad).sum())
+
+    def std(self, own: OwnWindows) -> float:
+        """Its standard deviation [rad]: noise of the own increments, and yaw acceleration during the tails."""
+        noise = self._form(own.std_rad)
+        variance = noise @ noise + 2.0 * NOISE_CORRELATION * (noise[:-1] @ noise[1:])
+        alike = np.exp(-self.apart_s / YAW_ACCELERATION_TIME_S)
+        held = self.end_s2**2 + self.start_s2**2 - 2.0 * alike * self.end_s2 * self.start_s2
+        return float(np.sqrt(variance + YAW_ACCELERATION_RADPS2**2 * held))
+
+    def _form(self, values: FloatArray) -> FloatArray:
+        counted = self.weights != 0.0
+        return np.where(counted, self.weights * np.where(counted, values[self.first : self.last + 1], 0.0), 0.0)
+
+
+def carry(own: OwnWindows, closing: ArrayLike | None = None) -> tuple[FloatArray, FloatArray]:
+    """Increments over the steps and their standard deviations.
+
+    Args:
+        own: of one camera.
+        closing: increasing rows that close the steps; default: all. Between key frames only both ends are carried.
+
+    Returns:
+        ``(len(closing),)`` increments and standard deviations [rad]; NaN at the first, and where an own increment
+        within the step or the image that opens it is missing.
+    """
+    rows = np.arange(len(own.tail_s)) if closing is None else np.asarray(closing, dtype=np.int64)
+    steps = list(_steps(own, rows))
+    increments = np.array([np.nan, *(step.increment(own) for step in steps)])[: len(rows)]
+    return increments, np.array([np.nan, *(step.std(own) for step in steps)])[: len(rows)]
+
+
+def _steps(own: OwnWindows, closing: NDArray[np.int64]) -> Iterator[_Step]:
+    """The steps between consecutive rows of ``closing``."""
+    has_rate = np.isfinite(own.increment_rad) & np.isfinite(own.window_s) & np.isfinite(own.tail_s)
+    window, tail = own.window_s, own.tail_s
+    for i, k in itertools.pairwise(closing.tolist()):
+        # The window whose rate is held over the tail at the start of the step: the one before, else the next.
+        j = i if has_rate[i] else i + 1
+        weights = np.ones(k - i + 1)
+        weights[0] = 0.0
+        weights[-1] += tail[k] / window[k]
+        weights[j - i] -= tail[i] / window[j]
+        # The mean rate of a window differs from that of the tail by the acceleration times the time between middles.
+        end = 0.5 * tail[k] * (window[k] + tail[k])
+        start = 0.5 * tail[i] * (window[j] + tail[i] if j == i else tail[i] - window[j])
+        apart = window[j + 1 : k + 1].sum()
+        yield _Step(i, k, weights, end, start, apart)
+
+
+def scaled_to_step(two_frame_rad: ArrayLike, window_s: ArrayLike, tail_s: ArrayLike) -> FloatArray:
+    """Stateless increments of two images, carried by their own rate: scaled from their window to the step.
+
+    The image before the pair may never have been processed (a budget environment switches cameras off), so its rate
+    must not enter.
+
+    Args:
+        two_frame_rad: ``(rows,)`` raw increment between the camera's last two images.
+        window_s, tail_s: ``(rows,)`` as in :class:`OwnWindows`.
+
+    Returns:
+        ``(rows,)`` rad; NaN in row 0 and wherever the image of this or the previous round is missing.
+    """
+    raw, window, tail = (np.asarray(values, dtype=np.float64) for values in (two_frame_rad, window_s, tail_s))
+    step_s = window + tail - np.concatenate([[np.nan], tail[:-1]])
+    return raw * step_s / window
+
+
+def own_windows(columns: Mapping[str, NDArray[Any]], expert: str, camera: str) -> OwnWindows:
+    """The own windows of one scene as its columns hold them, times exact to the microsecond.
+
+    Args:
+        columns: of one scene, ``(rows,)`` each.
+        expert: a camera, or a variant of it.
+        camera: whose images they are.
+
+    Raises:
+        RecordingError: if the recording lacks one of the columns.
+    """
+    names = (
+        f"{expert}.own_window_yaw_increment_rad",
+        f"{expert}.own_window_yaw_std_rad",
+        f"{camera}.own_window_s",
+        f"{camera}.image_time_offset_s",
+    )
+    if missing := [name for name in names if name not in columns]:
+        raise RecordingError(f"recordings without own-window columns ({', '.join(missing)}): record anew")
+    increment, std, window, offset = (columns[name].astype(np.float64) for name in names)
+    return OwnWindows(increment, std, 1e-6 * np.rint(1e6 * window), -1e-6 * np.rint(1e6 * offset))
+
+
+def carry_camera(columns: Mapping[str, NDArray[Any]], expert: str, camera: str, two_frame_rad: FloatArray) -> None:
+    """Fill the carried columns of one expert in one scene from its own windows, in place.
+
+    Args:
+        columns: of one scene; the own-window columns and those of the images are there.
+        expert: a camera, or a variant of it.
+        camera: whose images they are.
+        two_frame_rad: ``(rows,)`` raw stateless increments.
+    """
+    own = own_windows(columns, expert, camera)
+    increment, std = carry(own)
+    columns[f"{expert}.yaw_increment_rad"][:] = increment
+    columns[f"{expert}.yaw_std_rad"][:] = std
+    columns[f"{expert}.two_frame_yaw_increment_rad"][:] = scaled_to_step(two_frame_rad, own.window_s, own.tail_s)
