@@ -90,9 +90,9 @@ class MixoOdometryEnv(PlainSpec, gym.Env[Any, Any]):  # pyright: ignore[reportIn
 
     ## Info
     Every step: `yaw_increment_rad` (fused), `yaw_error_rad` (fused minus true), the reward's terms, and with `dataroot`
-    `images`, the path of every camera's image of the step to be decided next. Reset: `scene`. Last step: `scores` with
-    `scene`, `ate_m`, `ate_deg` (RMSE of position and yaw over all poses, not aligned) and `yaw_rmse_deg` (of the
-    increments).
+    `images`, the path of every camera's image of the step to be decided next. Reset: `scene`. Last step: `ate_m`,
+    `ate_deg` (RMSE of position and yaw over all poses, not aligned) and `yaw_rmse_deg` (of the increments), so that
+    `Monitor(env, info_keywords=("ate_m",))` logs them, and `scores`, the same with `scene`.
 
     ## Arguments
     | option | default | meaning |
@@ -101,7 +101,7 @@ class MixoOdometryEnv(PlainSpec, gym.Env[Any, Any]):  # pyright: ignore[reportIn
     | `track` | `"CONSUMER"` | who votes: `"PAPER"`, `"VISION"` (cameras alone) or `"CONSUMER"`; never compare across |
     | `split` | `"train"` | `"train"`: all folds but `fold`; `"test"`: that fold; `"all"`: both; `"ood"`: night |
     | `fold` | `3` | the fold held out |
-    | `conditions` | `None` | only scenes that show all of these, e.g. `["rain"]` |
+    | `conditions` | `None` | only scenes that show all of these, a list of `"day"`, `"night"` and `"rain"` |
     | `experts` | `None` | two or more voters of the track, in the order of the weights |
     | `observation` | `"paper"` | see above |
     | `privileged` | `False` | append the true yaw rate to the observation |
@@ -110,18 +110,33 @@ class MixoOdometryEnv(PlainSpec, gym.Env[Any, Any]):  # pyright: ignore[reportIn
     | `lost` | `"inertial"` | lost experts vote with the track's inertial increment, or `"mask"`: they do not vote |
     | `reward` | `"squared"` | see above |
     | `order` | `"random"` | see above |
-    | `faults` | `()` | faults to inject, as `mixo_env.envs.faults.Fault` or dicts of its fields |
+    | `faults` | `()` | faults to inject, see below |
     | `dataroot` | `None` | the nuScenes folder that was recorded, for `images` and `"pixels"` |
     | `render_mode` | `None` | `"ansi"`: one line; `"rgb_array"`: a frame of 540 x 960, drawn without a display |
 
-    An unknown option or value raises `ConfigurationError`, which names the nearest valid one. With `lost="mask"` the
-    other experts share the weight of the masked ones (`"raw"`: they do not); where nobody votes, the inertial increment
-    bridges.
+    An unknown option or value and one of the wrong type raise `ConfigurationError`, which names what is valid. With
+    `lost="mask"` the other experts share the weight of the masked ones (`"raw"`: they do not); where nobody votes, the
+    inertial increment bridges. Recordings from a folder are read once a process and shared, read only, by all its
+    environments; those of equal options share their tables too.
+
+    A fault is a `mixo_env.envs.faults.Fault` or a dict of its fields: `expert`, `kind`, and where they differ from the
+    defaults `start_step` (1), `noise_radps` (0.05), `delay_steps` (1).
+
+    | `kind` | from `start_step` of every scene on the expert |
+    |---|---|
+    | `"stuck"` | repeats the yaw rate before the fault |
+    | `"flipped"` | has the wrong sign |
+    | `"noisy"` | has white noise of `noise_radps` added to its yaw rate |
+    | `"delayed"` | says what it should have said `delay_steps` earlier |
+    | `"dropped"` | says nothing; a camera is lost |
 
     ## Vectorised use
     `gymnasium.make_vec("mixo_env:MixoOdometry-v0", num_envs=1024)` steps all scenes in one compiled loop and equals the
-    single environment step for step. It takes the same options and `autoreset_mode` (`"NEXT_STEP"`, `"SAME_STEP"`, or
-    `"DISABLED"` with `reset(options={"reset_mask": mask})`).
+    single environment step for step. It takes the same options, `max_episode_steps` (as `gymnasium.make` does) and
+    `autoreset_mode` (`"NEXT_STEP"`, `"SAME_STEP"`, or `"DISABLED"` with `reset(options={"reset_mask": mask})`). The
+    prefix `mixo_env:` imports the package, which registers the environments; worker processes need it too.
+    Stable-Baselines3 takes `mixo_env.envs.sb3.MixoVecEnv`; TorchRL takes `GymEnv("mixo_env:MixoOdometry-v0")` and, in
+    batches, `GymWrapper(gymnasium.make_vec(..., autoreset_mode="DISABLED"))`.
 
     ```python
     import gymnasium as gym
