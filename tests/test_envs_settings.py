@@ -65,8 +65,8 @@ WRONG_TYPES: list[tuple[dict[str, Any], str]] = [
     ({"order": ["fixed"]}, "order: expected 'random' or 'fixed', got ['fixed'] (list): the default is 'random'"),
     (
         {"faults": {"expert": "CAM_FRONT", "kind": "stuck"}},
-        "faults: expected a list of (Fault or a mapping of names), got {'expert': 'CAM_FRONT', 'kind': 'stuck'} (dict): "
-        "the default is ()",
+        "faults: expected a list of (Fault or a mapping of names), got {'expert': 'CAM_FRONT', 'kind': 'stuck'} "
+        "(dict): the default is ()",
     ),
     (
         {"faults": [{"expert": "CAM_FRONT", "kind": "stuck", "start_step": "2"}]},
@@ -161,7 +161,7 @@ def test_bad_reset_options_are_one_line_and_change_nothing(env_id: str, options:
 
 def test_a_scene_of_another_split_is_named_as_such(folder: Path) -> None:
     for recordings in (RECORDINGS, folder):
-        with pytest.raises(ConfigurationError, match="'scene-2004' is in fold 3 and shows day: .*split='train'"):
+        with pytest.raises(ConfigurationError, match=r"'scene-2004' is in fold 3 and shows day: .*split='train'"):
             make(recordings=recordings).reset(options={"scene": "scene-2004"})
         with pytest.raises(ConfigurationError, match="unknown scene 'scene-2044': did you mean"):
             make(recordings=recordings).reset(options={"scene": "scene-2044"})
