@@ -37,7 +37,7 @@ format: .venv/installed
 	touch $@
 
 .venv/integrations: .venv/installed
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev,cluster,integrations]'
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev,cluster,integrations,torchrl]'
 	touch $@
 
 clean:  ## everything made here, machine code kept between runs included

@@ -15,6 +15,13 @@ class ConfigurationError(MixoError):
     """A wrong option, an unknown name or a contradiction: the call must change (exit code 2)."""
 
 
+class UnknownOption(ConfigurationError, TypeError):  # noqa: N818
+    """A keyword that no option has (exit code 2).
+
+    A TypeError too, with Python's own words: libraries probe what a constructor takes by catching that.
+    """
+
+
 class DatasetError(MixoError):
     """A nuScenes folder, image or CAN bus file that is missing or broken (exit code 1)."""
 

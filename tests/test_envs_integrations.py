@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 import subprocess
 import sys
 from pathlib import Path
@@ -130,6 +131,32 @@ def test_a_cleanrl_style_loop_learns_the_best_expert() -> None:
     assert torch.softmax(logits, 0)[1] > 0.95
 
 
+def test_monitors_show_the_scores_of_every_scene(tmp_path: Path) -> None:
+    from stable_baselines3.common.env_util import make_vec_env
+    from stable_baselines3.common.vec_env import VecMonitor
+
+    from mixo_env.envs.sb3 import MixoVecEnv
+
+    scores = ("ate_m", "ate_deg", "yaw_rmse_deg")
+    monitored = {"monitor_dir": str(tmp_path / "dummy"), "monitor_kwargs": {"info_keywords": scores}}
+    dummy = make_vec_env(IDS[0], 2, env_kwargs={"recordings": RECORDINGS}, **monitored)
+    ours = VecMonitor(MixoVecEnv(IDS[0], 2, recordings=RECORDINGS), str(tmp_path / "ours"), info_keywords=scores)
+    for env in (dummy, ours):
+        env.seed(0)
+        env.reset()
+        seen = []
+        for _ in range(80):
+            infos = env.step(np.stack([env.action_space.sample()] * 2))[3]
+            seen += [info for info in infos if "episode" in info]
+        assert len(seen) >= 4
+        for info in seen:
+            assert all(0 < info["episode"][name] == pytest.approx(info["scores"][name], abs=1e-5) for name in scores)
+        env.close()
+    logs = list(tmp_path.rglob("*monitor.csv"))
+    assert len(logs) == 3
+    assert all(log.read_text().splitlines()[1].endswith(",".join(scores)) for log in logs)
+
+
 @pytest.mark.parametrize("observation", ["paper", "rich"])
 def test_standardised_observations_have_frozen_training_statistics(observation: Any, tmp_path: Path) -> None:
     options = {"recordings": RECORDINGS, "observation": observation}
@@ -195,7 +222,7 @@ def test_minari_export(env_id: str, observation: str, tmp_path: Path, monkeypatc
 
     monkeypatch.setenv("MINARI_DATASETS_PATH", str(tmp_path / "minari"))
     save_recordings(RECORDINGS, tmp_path / "recordings")
-    env = gym.make(env_id, recordings=str(tmp_path / "recordings"), order="fixed", observation=observation)
+    env = gym.make(env_id, recordings=tmp_path / "recordings", order="fixed", observation=observation)
     dataset = write_minari(env, lambda observation: env.action_space.sample(), f"mixo/random-{observation}-v0")
     scenes = RECORDINGS.select(split="train").scenes
     assert dataset.total_episodes == len(scenes)
@@ -203,6 +230,29 @@ def test_minari_export(env_id: str, observation: str, tmp_path: Path, monkeypatc
     assert dataset.recover_environment().spec.id == env_id
     episode = next(iter(dataset))
     assert episode.truncations[-1]
+
+
+@pytest.mark.integration
+@pytest.mark.filterwarnings("default")
+@pytest.mark.parametrize("env_id", IDS)
+@pytest.mark.parametrize("observation", ["paper", "dict"])
+def test_torchrl(env_id: str, observation: str) -> None:
+    pytest.importorskip("torchrl")
+    from torchrl.envs.libs.gym import GymEnv, GymWrapper
+    from torchrl.envs.utils import check_env_specs
+
+    env = GymEnv(f"mixo_env:{env_id}", recordings=RECORDINGS, observation=observation)
+    check_env_specs(env)
+    played = env.rollout(1000)["next"]
+    assert played["truncated"].sum() == 1
+    assert played["truncated"][-1]
+    with pytest.raises(TypeError, match="unexpected keyword argument 'rawscale': did you mean 'raw_scale'"):
+        GymEnv(f"mixo_env:{env_id}", recordings=RECORDINGS, rawscale=3.0)
+    options: dict[str, Any] = {"recordings": RECORDINGS, "observation": observation, "autoreset_mode": "DISABLED"}
+    batched = GymWrapper(gym.make_vec(env_id, 3, **options))
+    played = batched.rollout(100, break_when_any_done=False)["next"]
+    assert played.batch_size == (3, 100)
+    assert played["truncated"].sum() >= 6
 
 
 @pytest.mark.integration
@@ -214,8 +264,20 @@ def test_rl_zoo3(env_id: str, tmp_path: Path) -> None:
     save_recordings(RECORDINGS, tmp_path / "recordings")
     command = [sys.executable, "-m", "rl_zoo3.train", "--algo", "ppo", "--env", env_id, "--gym-packages", "mixo_env"]
     command += ["--conf-file", str(ROOT / "experiments" / "rl_zoo3" / "ppo.yml"), "--log-folder", str(tmp_path)]
-    command += ["--n-timesteps", "4096", "--env-kwargs", f"recordings:'{tmp_path / 'recordings'}'", "--seed", "0"]
-    command += ["--hyperparams", "n_envs:2", "n_epochs:1", "--eval-freq", "-1"]
+    recordings = f"recordings:'{tmp_path / 'recordings'}'"
+    command += ["--n-timesteps", "4096", "--seed", "0", "--hyperparams", "n_envs:2", "n_epochs:1"]
+    command += ["--env-kwargs", recordings, "--eval-env-kwargs", recordings, *zoo_evaluation(), "--eval-freq", "2048"]
     done = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path)
     assert done.returncode == 0, done.stderr[-2000:]
     assert list(tmp_path.rglob(f"{env_id}.zip"))
+    with np.load(next(tmp_path.rglob("evaluations.npz"))) as evaluations:
+        played = {RECORDINGS.rows(scene.name)["step"][-1] for scene in RECORDINGS.select(split="test").scenes}
+        assert set(evaluations["ep_lengths"].ravel().tolist()) == played
+
+
+def zoo_evaluation() -> list[str]:
+    """Options of the evaluation environment that the zoo file tells its users to give."""
+    words = (
+        (ROOT / "experiments" / "rl_zoo3" / "ppo.yml").read_text().partition("--eval-env-kwargs ")[2].splitlines()[0]
+    )
+    return [word for word in shlex.split(words) if ":" in word]

@@ -76,6 +76,41 @@ def test_imports_go_down_only(path: Path) -> None:
     assert not upward, f"{path} imports from floors above its own: {sorted(upward)}"
 
 
+def house_imports(path: Path) -> set[str]:
+    """Modules of the house that a file imports, wherever the import stands, also for type hints alone."""
+    names = {module_name(other) for other in MODULES}
+    return {name for name in imported_modules(path) if name in names} - {module_name(path)}
+
+
+def circle_through(graph: dict[str, set[str]]) -> list[str]:
+    """The modules of one import circle in order, or nothing."""
+    finished: set[str] = set()
+
+    def search(module: str, way: list[str]) -> list[str]:
+        if module in way:
+            return way[way.index(module) :]
+        if module in finished:
+            return []
+        for imported in sorted(graph.get(module, ())):
+            if found := search(imported, [*way, module]):
+                return found
+        finished.add(module)
+        return []
+
+    return next((found for module in sorted(graph) if (found := search(module, []))), [])
+
+
+def test_no_import_circle_among_files() -> None:
+    graph = {module_name(path): house_imports(path) for path in MODULES}
+    circle = circle_through(graph)
+    assert not circle, f"a circle of imports: {' -> '.join([*circle, *circle[:1]])}"
+
+
+def test_a_circle_is_found() -> None:
+    assert circle_through({"a": {"b"}, "b": {"c", "d"}, "c": {"a"}, "d": set()}) == ["a", "b", "c"]
+    assert circle_through({"a": {"b", "c"}, "b": {"c"}, "c": set()}) == []
+
+
 def test_importing_the_package_is_light() -> None:
     heavy = ("torch", "stable_baselines3", "matplotlib", "filterpy", "scipy", "pandas")
     code = f"import sys, mixo_env; print([name for name in {heavy!r} if name in sys.modules])"

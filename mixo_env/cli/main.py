@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import logging
+import os
 import sys
 from typing import ClassVar, Protocol
 
 DESCRIPTION = """MixoOdometry: how much to trust each camera of a car's rig.
 
 `mixo benchmark` needs nothing; `mixo COMMAND --help` shows worked examples. Exit codes: 0 good, 1 something wrong in
-the data, 2 wrong usage. `-v` says more about what happens.
+the data, 2 wrong usage. `-v` says more about what happens, `--version` which version this is. Completion by the tab key:
+`source <(mixo --tyro-print-completion bash)` (or zsh, tcsh).
 """
 
 
@@ -46,12 +48,31 @@ def commands() -> dict[str, type]:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Parse ``argv`` (default: the process arguments), run the command, return its exit code."""
+    """Parse ``argv`` (default: the process arguments), run the command, return its exit code.
+
+    Where the reader of the output goes away (``mixo ... | head``), the command ends quietly, as a killed one would.
+    """
+    try:
+        try:
+            return run(sys.argv[1:] if argv is None else argv)
+        finally:
+            sys.stdout.flush()
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # or the interpreter complains when it flushes
+        return 141  # what a shell reports of a command that SIGPIPE ended
+
+
+def run(arguments: list[str]) -> int:
+    """Parse ``arguments``, run the command, and turn the errors a user can cause into a line and an exit code."""
     import tyro
 
     from mixo_env.errors import ConfigurationError, MixoError
 
-    arguments = sys.argv[1:] if argv is None else argv
+    if arguments == ["--version"]:
+        from mixo_env import __version__
+
+        print(f"mixo {__version__}")
+        return 0
     verbose = "-v" in arguments
     logging.basicConfig(format="%(message)s", level=logging.INFO if verbose else logging.WARNING)
     left = "nothing was done"

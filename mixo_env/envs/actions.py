@@ -8,12 +8,10 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from mixo_env.errors import ConfigurationError, unknown
+from mixo_env.errors import ConfigurationError
 from mixo_env.fusion import project_to_simplex
 
 Weighting = Literal["softmax", "simplex", "raw", "select"]
-
-WEIGHTINGS = ("softmax", "simplex", "raw", "select")
 
 LOGIT_SCALE = 5.0
 """``weights="softmax"``: logits = 5 x action, so that one expert can outweigh another by e^10."""
@@ -31,10 +29,6 @@ class ActionRule:
 
     def __init__(self, weights: Weighting, experts: int, raw_scale: float, switches: int = 0) -> None:
         """Prepare the rule for ``experts`` weights, followed by ``switches`` further numbers in the same Box."""
-        if weights not in WEIGHTINGS:
-            raise ConfigurationError(unknown("weights option", weights, WEIGHTINGS))
-        if not (np.isfinite(raw_scale) and raw_scale > 0):
-            raise ConfigurationError(f"raw_scale: expected a positive number, got {raw_scale!r}: e.g. 4.0")
         self.space: spaces.Discrete[np.int64] | spaces.Box
         if weights == "select":
             self.space = spaces.Discrete(experts)

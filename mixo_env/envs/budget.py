@@ -90,14 +90,15 @@ class BudgetReplay(Replay):
         self._expert_of_camera = np.array([self.experts.index(camera) for camera in self.cameras])
         slices = self.layout.slices
         self._columns = np.array([slices[name].start if name in slices else -1 for name in PARTS])
-        self.awake = np.zeros((0, len(self.cameras)), np.bool_)
 
     def restart(self, which: NDArray[np.int64], scenes: NDArray[np.int64], *, pause: bool = False) -> None:
         """Start ``scenes`` with all cameras awake: their first two images were processed."""
         super().restart(which, scenes, pause=pause)
-        if len(self.awake) != self.batch:
-            self.awake = np.ones((self.batch, len(self.cameras)), np.bool_)
         self.awake[which] = True
+
+    def awake_cameras(self, entry: int) -> NDArray[np.bool_]:
+        """``(cameras,)``: the row of ``awake`` of a batch entry."""
+        return self.awake[entry]
 
     def switch(self, which: NDArray[np.bool_], on: NDArray[np.bool_]) -> None:
         """Where ``which``, let the cameras ``on`` ``(batch, cameras)`` process the image closing the coming step."""
@@ -114,7 +115,7 @@ class BudgetReplay(Replay):
         silence(
             flat,
             self.state,
-            self.table,
+            self._table,
             self.awake,
             self._expert_of_camera,
             self._columns,
@@ -122,6 +123,10 @@ class BudgetReplay(Replay):
             self.rate_limit,
         )
         return flat
+
+    def _allocate(self, batch: int) -> None:
+        super()._allocate(batch)
+        self.awake = np.ones((batch, len(self.cameras)), np.bool_)
 
     def _camera_states(self) -> NDArray[np.int8]:
         """TRACKING where two images alone give an increment: there is no memory and so no other way to track."""
@@ -139,7 +144,7 @@ class BudgetSettings(Settings):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not (np.isfinite(self.price_per_ms) and self.price_per_ms >= 0):
+        if self.price_per_ms < 0:
             raise ConfigurationError(f"price_per_ms: expected a number >= 0, got {self.price_per_ms!r}: e.g. 0.01")
         if self.weights == "select":
             raise ConfigurationError("weights='select' leaves no room for switches: use softmax, simplex or raw")
@@ -151,6 +156,7 @@ class BudgetSession(Session):
     switchable: ClassVar[bool] = True
     replay_class: ClassVar[type[Replay]] = BudgetReplay
     rich: ClassVar[tuple[Quantity, ...]] = STATELESS
+    own_terms: ClassVar[tuple[str, ...]] = ("reward_cost", "cost_ms")
     settings: BudgetSettings
     replay: BudgetReplay
 
@@ -162,8 +168,6 @@ class BudgetSession(Session):
         if missing:
             raise RecordingError(f"the manifest has no camera_cost_ms for {', '.join(missing)}: record anew")
         self.cost_ms = np.array([costs[camera] for camera in self.replay.cameras])
-        self.reward.terms = (*self.reward.terms, "reward_cost", "cost_ms")
-        self._report_shape = self._report_shape[0] + 2, batch
 
     def _switch(self, actions: NDArray[np.float32], report: NDArray[np.float64], flat: NDArray[np.float32]) -> None:
         """Switch cameras by the sign of an action's last numbers, charge for it, and correct the observation."""

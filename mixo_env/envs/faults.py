@@ -12,13 +12,12 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from mixo_env.envs.options import check_fields
 from mixo_env.errors import ConfigurationError, unknown
 from mixo_env.experts.expert import State
 from mixo_env.recordings.collection import Recordings
 
 FaultKind = Literal["stuck", "flipped", "noisy", "delayed", "dropped"]
-
-KINDS = ("stuck", "flipped", "noisy", "delayed", "dropped")
 
 INCREMENTS = ("yaw_increment_rad", "two_frame_yaw_increment_rad")
 
@@ -44,8 +43,7 @@ class Fault:
     delay_steps: int = 1
 
     def __post_init__(self) -> None:
-        if self.kind not in KINDS:
-            raise ConfigurationError(unknown("fault", self.kind, KINDS))
+        check_fields(self)
         if self.start_step < 1 or self.noise_radps < 0 or self.delay_steps < 1:
             raise ConfigurationError(f"expected start_step >= 1, noise_radps >= 0 and delay_steps >= 1, got {self}")
 

@@ -10,15 +10,14 @@ from gymnasium.vector import AutoresetMode, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from mixo_env.envs.making import RENDER_MODES, PlainSpec, checked_autoreset_mode, checked_count, checked_render_mode
 from mixo_env.envs.session import Session
 from mixo_env.envs.settings import Settings
 from mixo_env.envs.stepping import REPORT
-from mixo_env.errors import ConfigurationError, unknown
-
-RENDER_MODES = ["ansi", "rgb_array"]
+from mixo_env.errors import ConfigurationError
 
 
-class MixoOdometryEnv(gym.Env[Any, Any]):
+class MixoOdometryEnv(PlainSpec, gym.Env[Any, Any]):  # pyright: ignore[reportIncompatibleVariableOverride]
     """Decide, image by image, how much to trust each camera of a car's rig.
 
     ## Description
@@ -91,9 +90,9 @@ class MixoOdometryEnv(gym.Env[Any, Any]):
 
     ## Info
     Every step: `yaw_increment_rad` (fused), `yaw_error_rad` (fused minus true), the reward's terms, and with `dataroot`
-    `images`, the path of every camera's image of the step to be decided next. Reset: `scene`. Last step: `scores` with
-    `scene`, `ate_m`, `ate_deg` (RMSE of position and yaw over all poses, not aligned) and `yaw_rmse_deg` (of the
-    increments).
+    `images`, the path of every camera's image of the step to be decided next. Reset: `scene`. Last step: `ate_m`,
+    `ate_deg` (RMSE of position and yaw over all poses, not aligned) and `yaw_rmse_deg` (of the increments), so that
+    `Monitor(env, info_keywords=("ate_m",))` logs them, and `scores`, the same with `scene`.
 
     ## Arguments
     | option | default | meaning |
@@ -102,7 +101,7 @@ class MixoOdometryEnv(gym.Env[Any, Any]):
     | `track` | `"CONSUMER"` | who votes: `"PAPER"`, `"VISION"` (cameras alone) or `"CONSUMER"`; never compare across |
     | `split` | `"train"` | `"train"`: all folds but `fold`; `"test"`: that fold; `"all"`: both; `"ood"`: night |
     | `fold` | `3` | the fold held out |
-    | `conditions` | `None` | only scenes that show all of these, e.g. `["rain"]` |
+    | `conditions` | `None` | only scenes that show all of these, a list of `"day"`, `"night"` and `"rain"` |
     | `experts` | `None` | two or more voters of the track, in the order of the weights |
     | `observation` | `"paper"` | see above |
     | `privileged` | `False` | append the true yaw rate to the observation |
@@ -111,18 +110,33 @@ class MixoOdometryEnv(gym.Env[Any, Any]):
     | `lost` | `"inertial"` | lost experts vote with the track's inertial increment, or `"mask"`: they do not vote |
     | `reward` | `"squared"` | see above |
     | `order` | `"random"` | see above |
-    | `faults` | `()` | faults to inject, as `mixo_env.envs.faults.Fault` or dicts of its fields |
+    | `faults` | `()` | faults to inject, see below |
     | `dataroot` | `None` | the nuScenes folder that was recorded, for `images` and `"pixels"` |
     | `render_mode` | `None` | `"ansi"`: one line; `"rgb_array"`: a frame of 540 x 960, drawn without a display |
 
-    An unknown option or value raises `ConfigurationError`, which names the nearest valid one. With `lost="mask"` the
-    other experts share the weight of the masked ones (`"raw"`: they do not); where nobody votes, the inertial increment
-    bridges.
+    An unknown option or value and one of the wrong type raise `ConfigurationError`, which names what is valid. With
+    `lost="mask"` the other experts share the weight of the masked ones (`"raw"`: they do not); where nobody votes, the
+    inertial increment bridges. Recordings from a folder are read once a process and shared, read only, by all its
+    environments; those of equal options share their tables too.
+
+    A fault is a `mixo_env.envs.faults.Fault` or a dict of its fields: `expert`, `kind`, and where they differ from the
+    defaults `start_step` (1), `noise_radps` (0.05), `delay_steps` (1).
+
+    | `kind` | from `start_step` of every scene on the expert |
+    |---|---|
+    | `"stuck"` | repeats the yaw rate before the fault |
+    | `"flipped"` | has the wrong sign |
+    | `"noisy"` | has white noise of `noise_radps` added to its yaw rate |
+    | `"delayed"` | says what it should have said `delay_steps` earlier |
+    | `"dropped"` | says nothing; a camera is lost |
 
     ## Vectorised use
     `gymnasium.make_vec("mixo_env:MixoOdometry-v0", num_envs=1024)` steps all scenes in one compiled loop and equals the
-    single environment step for step. It takes the same options and `autoreset_mode` (`"NEXT_STEP"`, `"SAME_STEP"`, or
-    `"DISABLED"` with `reset(options={"reset_mask": mask})`).
+    single environment step for step. It takes the same options, `max_episode_steps` (as `gymnasium.make` does) and
+    `autoreset_mode` (`"NEXT_STEP"`, `"SAME_STEP"`, or `"DISABLED"` with `reset(options={"reset_mask": mask})`). The
+    prefix `mixo_env:` imports the package, which registers the environments; worker processes need it too.
+    Stable-Baselines3 takes `mixo_env.envs.sb3.MixoVecEnv`; TorchRL takes `GymEnv("mixo_env:MixoOdometry-v0")` and, in
+    batches, `GymWrapper(gymnasium.make_vec(..., autoreset_mode="DISABLED"))`.
 
     ```python
     import gymnasium as gym
@@ -154,13 +168,13 @@ class MixoOdometryEnv(gym.Env[Any, Any]):
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Start a scene: a random one, the next one (``order="fixed"``) or ``options={"scene": name}``."""
+        asked = self.session.asked(options, 1)
         super().reset(seed=seed)
         if seed is not None:
             self.session.rewind()
-        self.session.begin(np.arange(1), self.np_random, options)
+        self.session.begin(np.arange(1), self.np_random, asked)
         self._ended = False
-        self._scene = self.session.scene_names(np.ones(1, np.bool_))[0]
-        return entry(self.session.observe(), 0), {"scene": self._scene} | self._image_info()
+        return entry(self.session.observe(), 0), {"scene": self._scene()} | self._image_info()
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Weigh the experts for one step."""
@@ -170,12 +184,12 @@ class MixoOdometryEnv(gym.Env[Any, Any]):
         observation, report, ended = session.play(session.rule.read(action, None))
         reward, increment, error, *terms = report.ravel().tolist()
         info: dict[str, Any] = {"yaw_increment_rad": increment, "yaw_error_rad": error}
-        for name, term in zip(session.reward.terms, terms, strict=False):
+        for name, term in zip(session.terms, terms, strict=True):
             info[name] = term
         self._ended = ended > 0
         if self._ended:
             scores = {name: float(values[0]) for name, values in session.replay.scores().items()}
-            info["scores"] = {"scene": self._scene, **scores}
+            info |= scores | {"scores": {"scene": self._scene(), **scores}}
         if session.images:
             info |= self._image_info()
         return entry(observation, 0), reward, False, self._ended, info
@@ -184,12 +198,15 @@ class MixoOdometryEnv(gym.Env[Any, Any]):
         """A line (``"ansi"``) or a frame ``(540, 960, 3)`` RGB (``"rgb_array"``) about the scene as it stands."""
         return rendered(self, self.session)[0] if self.render_mode else None
 
+    def _scene(self) -> str:
+        return self.session.scene_names(np.ones(1, np.bool_))[0]
+
     def _image_info(self) -> dict[str, Any]:
         paths = self.session.image_paths(0)
         return {"images": {camera: path and str(path) for camera, path in paths.items()}} if paths else {}
 
 
-class MixoOdometryVectorEnv(VectorEnv[Any, Any, Any]):
+class MixoOdometryVectorEnv(PlainSpec, VectorEnv[Any, Any, Any]):  # pyright: ignore[reportIncompatibleVariableOverride]
     """``num_envs`` copies of :class:`MixoOdometryEnv` stepped together; equal to it step for step, and much faster."""
 
     metadata: dict[str, Any] = {  # noqa: RUF012 (typed by Gymnasium)
@@ -206,15 +223,18 @@ class MixoOdometryVectorEnv(VectorEnv[Any, Any, Any]):
         *,
         autoreset_mode: AutoresetMode | str = AutoresetMode.NEXT_STEP,
         render_mode: str | None = None,
+        max_episode_steps: int | None = None,
         **options: Any,
     ) -> None:
-        """Build the environments; see :class:`MixoOdometryEnv` for the options."""
+        """Build the environments; see :class:`MixoOdometryEnv` for the options.
+
+        ``max_episode_steps`` truncates a scene early, as Gymnasium's wrapper ``TimeLimit`` does for single ones.
+        """
         self.render_mode = checked_render_mode(render_mode)
         self.autoreset_mode = checked_autoreset_mode(autoreset_mode)
         self.metadata = {**type(self).metadata, "autoreset_mode": self.autoreset_mode}
-        if not isinstance(num_envs, int | np.integer) or num_envs < 1:
-            raise ConfigurationError(f"num_envs: expected a whole number >= 1, got {num_envs!r}")
-        self.num_envs = int(num_envs)
+        self.num_envs = checked_count("num_envs", num_envs)
+        self._limit = None if max_episode_steps is None else checked_count("max_episode_steps", max_episode_steps)
         settings = self.settings_class.read(options)
         self.session = self.session_class(settings, self.num_envs, keep_trajectories=render_mode is not None)
         self.single_observation_space = self.session.observation_space
@@ -228,11 +248,12 @@ class MixoOdometryVectorEnv(VectorEnv[Any, Any, Any]):
 
         ``options={"scene": name}`` or a list of names, one per environment that is reset, chooses the scenes.
         """
+        mask = self._reset_mask(options)
+        asked = self.session.asked(options, int(mask.sum()))
         super().reset(seed=seed)
         if seed is not None:
             self.session.rewind()
-        mask = self._reset_mask(options)
-        self.session.begin(np.flatnonzero(mask), self.np_random, options)
+        self.session.begin(np.flatnonzero(mask), self.np_random, asked)
         self._ended &= ~mask
         self._any_ended = bool(self._ended.any())
         self._begun = True
@@ -243,17 +264,22 @@ class MixoOdometryVectorEnv(VectorEnv[Any, Any, Any]):
     ) -> tuple[Any, NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]]:
         """Weigh the experts for one step everywhere; what follows the end of a scene is the autoreset mode's affair."""
         session, mode, before = self.session, self.autoreset_mode, self._ended
+        numbers = session.rule.read(actions, self.num_envs)
         info: dict[str, Any] = {}
         played = np.ones(self.num_envs, np.bool_)
         if self._any_ended:
             if mode is not AutoresetMode.NEXT_STEP or not self._begun:
                 raise ConfigurationError(f"{before.sum()} scenes have ended or never begun: reset them first")
+            session.rule.complain(numbers)
             session.begin(np.flatnonzero(before), self.np_random, pause=True)  # NEXT_STEP: this step is their reset
             info, played = self._reset_info(before), ~before
-        observation, report, ended = session.play(session.rule.read(actions, self.num_envs))
+        observation, report, ended = session.play(numbers)
         truncated = session.replay.done.copy()
+        if self._limit is not None:
+            truncated |= session.replay.state["step"] >= self._limit
+            ended = int(truncated.sum())
         reward = report[0]
-        told = dict(zip(REPORT[1:] + session.reward.terms, report[1:], strict=True))
+        told = dict(zip(REPORT[1:] + session.terms, report[1:], strict=True))
         if ended and mode is AutoresetMode.SAME_STEP:
             info |= {"final_obs": self._listed(observation, truncated), "_final_obs": truncated.copy()}
             final = only(told, truncated) | self._scores(truncated) | self._image_info(truncated)
@@ -276,7 +302,7 @@ class MixoOdometryVectorEnv(VectorEnv[Any, Any, Any]):
         return rendered(self, self.session) if self.render_mode else None
 
     def _reset_mask(self, options: dict[str, Any] | None) -> NDArray[np.bool_]:
-        mask = (options or {}).get("reset_mask")
+        mask = options.get("reset_mask") if isinstance(options, dict) else None
         if mask is None:
             return np.ones(self.num_envs, np.bool_)
         if not isinstance(mask, np.ndarray) or mask.shape != (self.num_envs,) or mask.dtype != np.bool_:
@@ -289,9 +315,13 @@ class MixoOdometryVectorEnv(VectorEnv[Any, Any, Any]):
         return {"scene": self.session.scene_names(mask), "_scene": mask.copy()}
 
     def _scores(self, truncated: NDArray[np.bool_]) -> dict[str, Any]:
-        scores = {"scene": self.session.scene_names(truncated), **self.session.replay.scores()}
-        mask = truncated.copy()
-        return {"scores": masked(scores, mask), "_scores": mask}
+        """Scores of the scenes that have ended, flat for monitors and together under ``scores``."""
+        mask = truncated & self.session.replay.done
+        if not mask.any():
+            return {}
+        scores = self.session.replay.scores()
+        named = {"scene": self.session.scene_names(mask), **scores}
+        return masked(scores, mask) | {"scores": masked(named, mask), "_scores": mask}
 
     def _image_info(self, mask: NDArray[np.bool_]) -> dict[str, Any]:
         if not self.session.images:
@@ -333,20 +363,3 @@ def masked(values: dict[str, NDArray[Any]], mask: NDArray[np.bool_]) -> dict[str
 def only(values: dict[str, NDArray[Any]], mask: NDArray[np.bool_]) -> dict[str, Any]:
     """The same of ``values`` that apply only where ``mask`` is True; nothing at all if that is nowhere."""
     return masked({name: np.where(mask, array, 0.0) for name, array in values.items()}, mask) if mask.any() else {}
-
-
-def checked_render_mode(mode: str | None) -> str | None:
-    """The mode, if it is one."""
-    if mode is not None and mode not in RENDER_MODES:
-        raise ConfigurationError(unknown("render_mode", mode, RENDER_MODES))
-    return mode
-
-
-def checked_autoreset_mode(mode: AutoresetMode | str) -> AutoresetMode:
-    """The mode as Gymnasium's enum, from its value or its name."""
-    if isinstance(mode, AutoresetMode):
-        return mode
-    modes = {key: m for m in AutoresetMode for key in (m.value, m.name)}
-    if mode not in modes:
-        raise ConfigurationError(unknown("autoreset_mode", mode, [m.name for m in AutoresetMode]))
-    return modes[mode]

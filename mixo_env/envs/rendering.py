@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mixo_env.envs.budget import BudgetReplay
 from mixo_env.envs.session import Session
 from mixo_env.experts.expert import State
 
@@ -142,7 +141,7 @@ def draw_tiles(canvas: Image, session: Session, entry: int) -> None:
     columns = session.recordings.rows(scene)
     for c, camera in enumerate(replay.cameras[:4]):
         x, y = left + (c % 2) * width, top + (c // 2) * (height + 6)
-        awake = not isinstance(replay, BudgetReplay) or replay.awake[entry, c]
+        awake = replay.awake_cameras(entry)[c]
         colour = STATES[int(columns[f"{camera}.state"][row]) if awake else State.NO_IMAGE]
         if session.images:
             picture = session.images.read(paths[camera], (height, width - 6, 3))

@@ -7,8 +7,9 @@ for bit.
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Sequence
-from typing import ClassVar, Literal
+from typing import Any, ClassVar, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -49,6 +50,7 @@ class Replay:
         cameras: those of them that are cameras.
         layout: of the flat observation.
         state: ``(batch,)`` STATE after :meth:`reset`; read only.
+        compiled: the arrays that compiled code reads and writes: state, table, history, context.
     """
 
     camera_increments: ClassVar[str] = "yaw_increment_rad"
@@ -65,6 +67,7 @@ class Replay:
         privileged: bool = False,
         quantities: tuple[Quantity, ...] = RICH,
         keep_trajectories: bool = True,
+        linear: FloatArray | None = None,
     ) -> None:
         """Build the tables; the recordings are not copied and not changed.
 
@@ -77,6 +80,7 @@ class Replay:
             privileged: add ``truth_yaw_rate`` to the observation.
             quantities: what is observed, in order; the first must be the previous yaw rate.
             keep_trajectories: remember the fused increments, which :meth:`trajectory` needs.
+            linear: ``(experts,)`` weights of LINEAR, if the reward is "improvement".
 
         Raises:
             ConfigurationError: for an unknown option value.
@@ -93,7 +97,6 @@ class Replay:
         self.cameras = tuple(expert for expert in self.experts if expert in recordings.manifest.cameras)
         observed = (*quantities, PRIVILEGED) if privileged else quantities
         self.layout = Layout(observed, len(self.cameras), len(self.experts))
-        self.state = np.zeros(0, STATE)
 
         offsets = recordings.offsets
         self._steps = step_rows(recordings)
@@ -103,11 +106,11 @@ class Replay:
         self._start = np.stack([recordings[f"truth.{c}"][offsets[:-1]] for c in ("x_m", "y_m", "yaw_rad")], axis=-1)
         self.votes = collect_votes(recordings, self._steps, self.experts, self.cameras, track, self.camera_increments)
         self.mask = lost == "mask"
-        self.table = tabulate_steps(recordings, self._steps, self._start, self.votes, self.mask)
+        self._table = tabulate_steps(recordings, self._steps, self._start, self.votes, self.mask, linear)
         self.rate_limit = float(self.layout.high[0])
         self.fused = previous == "fused"
         previous_rate = self._previous_yaw_rate(previous)
-        self.context = tabulate(
+        self._context = tabulate(
             self.layout,
             recordings,
             self._steps,
@@ -121,12 +124,23 @@ class Replay:
         self._course_offset = np.array([vehicle.course_offset_rad for vehicle in vehicles])
         self.starts["course_rad"] = self._start[:, 2] + self._course_offset
         self.starts["previous_yaw_rate"] = previous_rate[self.starts["first"]]
+        self._only_batch: int | None = None
         self._keep_trajectories = keep_trajectories
-        self.history = np.zeros((0, 0))
+        self._allocate(0)
 
     def __len__(self) -> int:
         """Number of scenes."""
         return len(self.starts)
+
+    @property
+    def table(self) -> FloatArray:
+        """``(rows, columns)`` of steps, read only."""
+        return read_only(self._table)
+
+    @property
+    def context(self) -> NDArray[np.float32]:
+        """``(rows, layout.width)`` recorded observations, read only."""
+        return read_only(self._context)
 
     @property
     def batch(self) -> int:
@@ -142,19 +156,35 @@ class Replay:
     def voting(self) -> NDArray[np.bool_]:
         """``(batch, experts)``: the expert, or its substitute, has a vote in the coming step."""
         silent = (self.state["silent"][:, None] >> np.arange(len(self.experts))) & 1 == 1
-        return np.isfinite(self.table[self.state["row"], FIRST_EXPERT:]) & ~(silent & self.mask)
+        return np.isfinite(self._table[self.state["row"], FIRST_EXPERT:]) & ~(silent & self.mask)
 
     @property
     def steps(self) -> NDArray[np.int64]:
         """``(scenes,)`` number of steps of each scene."""
         return self.starts["stop"] - self.starts["first"]
 
+    def another(self, batch: int, *, keep_trajectories: bool) -> Self:
+        """A replay of its own on the same tables, for ``batch`` scenes at once and no other number, at their start."""
+        twin = copy.copy(self)
+        twin._only_batch, twin._keep_trajectories = batch, keep_trajectories
+        twin._allocate(batch)
+        twin.reset(np.zeros(batch, np.int64))
+        return twin
+
     def reset(self, scenes: ArrayLike) -> None:
-        """Start ``(batch,)`` scenes, given by their index in the recordings."""
+        """Start ``(batch,)`` scenes, given by their index in the recordings.
+
+        Raises:
+            ConfigurationError: for another number of scenes than an environment's replay was made for.
+        """
         chosen = np.asarray(scenes, dtype=np.int64)
+        if self._only_batch not in (None, len(chosen)):
+            raise ConfigurationError(
+                f"expected {self._only_batch} scenes, got {len(chosen)}: this replay belongs to an environment; "
+                "make one of your own with Replay(recordings, track=...)"
+            )
         if self.batch != len(chosen):
-            self.state = np.zeros(len(chosen), STATE)
-            self.history = np.zeros((int(self.steps.max()) if self._keep_trajectories else 0, len(chosen)))
+            self._allocate(len(chosen))
         self.restart(np.arange(len(chosen)), chosen)
 
     def restart(self, which: NDArray[np.int64], scenes: NDArray[np.int64], *, pause: bool = False) -> None:
@@ -171,7 +201,7 @@ class Replay:
     def observe_flat(self) -> NDArray[np.float32]:
         """The same as one fresh array ``(batch, layout.width)``."""
         out = np.empty((self.batch, self.layout.width), np.float32)
-        look(out, self.state, self.context, self.fused, self.rate_limit)
+        look(out, self.state, self._context, self.fused, self.rate_limit)
         return out
 
     def step(self, weights: FloatArray, *, shares: bool = False) -> None:
@@ -186,7 +216,7 @@ class Replay:
             shares,
             self.mask,
             self.state,
-            self.table,
+            self._table,
             self.history,
         )
 
@@ -208,6 +238,10 @@ class Replay:
             course_offset_rad=float(self._course_offset[scene]),
         )
 
+    def awake_cameras(self, entry: int) -> NDArray[np.bool_]:
+        """``(cameras,)``: whether a batch entry processes the image that closes the coming step; here always."""
+        return np.ones(len(self.cameras), np.bool_)
+
     def recording_row(self, entry: int) -> int:
         """Row of its scene's recording that a batch entry decides about next (at the end: the last one)."""
         state = self.state[entry]
@@ -217,6 +251,12 @@ class Replay:
         """True x [m], y [m], yaw [rad, unwrapped] ``(steps + 1,)`` of a scene, map frame."""
         rows = self.recordings.rows(scene)
         return rows["truth.x_m"], rows["truth.y_m"], rows["truth.yaw_rad"]
+
+    def _allocate(self, batch: int) -> None:
+        """Make the arrays that playing ``batch`` scenes at once changes."""
+        self.state = np.zeros(batch, STATE)
+        self.history = np.zeros((int(self.steps.max()) if self._keep_trajectories else 0, batch))
+        self.compiled = self.state, self._table, self.history, self._context
 
     def _camera_states(self) -> NDArray[np.int8]:
         """State ``(rows, cameras)`` of every camera at every step."""
@@ -233,3 +273,10 @@ class Replay:
         first = self.starts["first"]
         rate[first] = self.table[first, SUBSTITUTE] / self.table[first, DT]
         return rate
+
+
+def read_only(array: NDArray[Any]) -> NDArray[Any]:
+    """A view that cannot be written; compiled code takes the array itself, whose type it recognises faster."""
+    view = array.view()
+    view.flags.writeable = False
+    return view

@@ -9,13 +9,12 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mixo_env.envs.replay import Replay
-from mixo_env.envs.stepping import LINEAR_ERROR, TRUTH
-from mixo_env.envs.tables import collect_votes, step_rows
-from mixo_env.errors import ConfigurationError, unknown
-from mixo_env.fusion import least_squares_weights, mix
-from mixo_env.recordings.collection import Recordings
+from mixo_env.envs.stepping import TRUTH
+from mixo_env.fusion import least_squares_weights
+from mixo_env.recordings.schema import Manifest
 
 RewardName = Literal["squared", "abs", "improvement", "pose"]
 
@@ -40,15 +39,13 @@ class Reward:
         scale_rad: sigma_0.
     """
 
-    def __init__(self, name: RewardName, replay: Replay, track: str, training: Recordings) -> None:
-        """Prepare the reward of ``replay``; LINEAR, where needed, is fitted on ``training``."""
-        if name not in TERMS:
-            raise ConfigurationError(unknown("reward option", name, TERMS))
+    def __init__(self, name: RewardName, track: str, manifest: Manifest) -> None:
+        """Look the option up, and sigma_0 of ``track``."""
         self.code = list(TERMS).index(name)
         self.terms = TERMS[name]
-        self.scale_rad = replay.recordings.manifest.reward_scale_rad.get(track, DEFAULT_SCALE_RAD)
-        if name == "improvement":
-            steps = step_rows(training)
-            votes = collect_votes(training, steps, replay.experts, replay.cameras, track, replay.camera_increments)
-            linear = least_squares_weights(votes.increments_rad, training["truth.yaw_increment_rad"][steps])
-            replay.table[:, LINEAR_ERROR] = mix(linear, replay.votes.increments_rad) - replay.table[:, TRUTH]
+        self.scale_rad = manifest.reward_scale_rad.get(track, DEFAULT_SCALE_RAD)
+
+
+def fit_linear(training: Replay) -> NDArray[np.float64]:
+    """Weights ``(experts,)`` of LINEAR, the reference of ``"improvement"``, fitted on all steps of ``training``."""
+    return least_squares_weights(training.votes.increments_rad, training.table[:, TRUTH])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -12,16 +13,27 @@ from numpy.typing import NDArray
 
 from mixo_env.envs.actions import ActionRule
 from mixo_env.envs.observation import PAPER, RICH, Quantity
+from mixo_env.envs.opening import prepared
 from mixo_env.envs.replay import Replay
-from mixo_env.envs.reward import Reward
+from mixo_env.envs.reward import Reward, fit_linear
 from mixo_env.envs.settings import Settings
 from mixo_env.envs.stepping import REPORT, RULES, TRUTH, play
+from mixo_env.envs.tables import choose_experts
 from mixo_env.errors import ConfigurationError, RecordingError, unknown
 from mixo_env.recordings.collection import Recordings
 
 Observation = NDArray[np.float32] | dict[str, NDArray[Any]]
 
 RESET_OPTIONS = ("scene", "reset_mask")
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """What sessions of equal settings share: the scenes to play, those to train on, and a replay nobody plays."""
+
+    recordings: Recordings
+    training: Recordings
+    replay: Replay
 
 
 class Session:
@@ -33,6 +45,7 @@ class Session:
         replay: the fusion core.
         rule: actions -> weights.
         reward: errors -> reward terms.
+        terms: names of the rows of a step's report after REPORT.
         observation_space: of one environment.
         images: of the cameras, if a ``dataroot`` was given.
         weights: ``(batch, experts)`` of the last step; kept up to date only where trajectories are kept.
@@ -43,23 +56,19 @@ class Session:
     replay_class: ClassVar[type[Replay]] = Replay
     rich: ClassVar[tuple[Quantity, ...]] = RICH
     """What ``observation="rich"`` shows."""
+    own_terms: ClassVar[tuple[str, ...]] = ()
+    """Rows of a step's report after the reward's."""
 
     def __init__(self, settings: Settings, batch: int, *, keep_trajectories: bool = True) -> None:
         """Open the recordings and build the core for ``batch`` environments; rendering needs the trajectories."""
         self.settings = settings
-        self.recordings, self._training = settings.open()
-        self.replay = self._build_replay(self.recordings, keep_trajectories)
-        voters = self.recordings.voters(settings.track)
-        for expert in self.replay.experts:
-            if expert not in voters:
-                raise ConfigurationError(unknown(f"expert of track {settings.track}", expert, voters))
-        if len(self.replay.experts) < 2:
-            raise ConfigurationError(f"experts: expected two or more, got {self.replay.experts}: nothing to mix")
-        if not np.isfinite(self.replay.table[:, TRUTH]).all():
-            raise RecordingError("these recordings lack ground truth in some steps: an environment needs it to reward")
+        self._prepared = prepared(settings.key and (type(self), settings.key), self._prepare)
+        self.recordings = self._prepared.recordings
+        self.replay = self._prepared.replay.another(batch, keep_trajectories=keep_trajectories)
         self.switches = len(self.replay.cameras) if self.switchable else 0
         self.rule = ActionRule(settings.weights, len(self.replay.experts), settings.raw_scale, self.switches)
-        self.reward = Reward(settings.reward, self.replay, settings.track, self._training)
+        self.reward = Reward(settings.reward, settings.track, self.recordings.manifest)
+        self.terms = (*self.reward.terms, *self.own_terms)
         layout = self.replay.layout
         self._named_parts = settings.observation == "dict"
         self.observation_space: spaces.Space[Any] = layout.dict() if self._named_parts else layout.box()
@@ -76,34 +85,49 @@ class Session:
         self._names = np.array([scene.name for scene in self.recordings.scenes], dtype=object)
         self._next = 0
         self._keep_trajectories = keep_trajectories
-        self.replay.reset(np.zeros(batch, np.int64))
-        self._game = self._compiled_arguments()
+        self._rules = self._compiled_rules()
         self._flat = isinstance(self.observation_space, spaces.Box)
-        self._report_shape = len(REPORT) + len(self.reward.terms), batch
+        self._report_shape = len(REPORT) + len(self.terms), batch
         self._flat_shape = batch, layout.width
 
     def rewind(self) -> None:
         """Let ``order="fixed"`` begin again with the first scene."""
         self._next = 0
 
-    def begin(
-        self,
-        which: NDArray[np.intp],
-        rng: np.random.Generator,
-        options: dict[str, Any] | None = None,
-        *,
-        pause: bool = False,
-    ) -> None:
-        """Start scenes in the batch entries ``which``: those named in ``options``, else the next by ``order``.
+    def asked(self, options: dict[str, Any] | None, count: int) -> NDArray[np.int64] | None:
+        """The scenes ``(count,)`` that a reset's ``options`` name, as indices; None if they name none.
 
-        With ``pause`` they sit out the coming step.
+        Raises:
+            ConfigurationError: for anything but the name of a scene that is played, or ``count`` of them.
         """
+        if not isinstance(options, dict | None):
+            raise ConfigurationError(f"reset options: expected a dictionary, got {options!r}: e.g. {{'scene': name}}")
         for option in options or ():
             if option not in RESET_OPTIONS:
                 raise ConfigurationError(unknown("reset option", option, RESET_OPTIONS))
         asked = (options or {}).get("scene")
-        if asked is not None:
-            scenes = self._named(asked, len(which))
+        if asked is None:
+            return None
+        names = list(asked) if isinstance(asked, Sequence | np.ndarray) and not isinstance(asked, str) else [asked]
+        names *= count if isinstance(asked, str) else 1
+        if len(names) != count or not all(isinstance(name, str) for name in names):
+            raise ConfigurationError(f"scene: expected one name or {count}, got {asked!r}: one per environment reset")
+        return np.array([self._index(name) for name in names], dtype=np.int64)
+
+    def begin(
+        self,
+        which: NDArray[np.intp],
+        rng: np.random.Generator,
+        scenes: NDArray[np.int64] | None = None,
+        *,
+        pause: bool = False,
+    ) -> None:
+        """Start ``scenes`` in the batch entries ``which``, by default the next by ``order``.
+
+        With ``pause`` they sit out the coming step.
+        """
+        if scenes is not None:
+            pass
         elif self.settings.order == "fixed":
             scenes = (self._next + np.arange(len(which))) % len(self.recordings)
             self._next = int(self._next + len(which)) % len(self.recordings)
@@ -126,13 +150,14 @@ class Session:
         Raises:
             ConfigurationError: for NaN and for numbers out of range; nothing has changed then.
         """
-        if self._keep_trajectories:
-            self.weights = self.rule.weights(actions, self.replay.voting)
+        voting = self.replay.voting if self._keep_trajectories else None
         report = np.empty(self._report_shape)
         flat = np.empty(self._flat_shape, np.float32)
-        ended = play(actions, report, flat, *self._game)
+        ended = play(actions, report, flat, self._rules, *self.replay.compiled)
         if ended < 0:
             self.rule.complain(actions)
+        if voting is not None:
+            self.weights = self.rule.weights(actions, voting)
         if self.switches:
             self._switch(actions, report, flat)
         return (flat if self._flat else self._dressed(flat)), report, ended
@@ -150,7 +175,7 @@ class Session:
 
     def training_observations(self) -> NDArray[np.float32]:
         """Flat observations ``(rows, width)`` of the training scenes, whatever is played; previous rates inertial."""
-        return self._build_replay(self._training, keep_trajectories=False).context
+        return self._build_replay(self._prepared.training).context
 
     def image_paths(self, entry: int) -> dict[str, Path | None]:
         """Image of each camera that closes the step a batch entry decides about next; empty without ``dataroot``."""
@@ -158,7 +183,22 @@ class Session:
             return {}
         return self.images.paths(int(self.replay.state["scene"][entry]), self.replay.recording_row(entry))
 
-    def _build_replay(self, recordings: Recordings, keep_trajectories: bool) -> Replay:
+    def _prepare(self) -> Prepared:
+        settings = self.settings
+        recordings, training = settings.open()
+        voters = recordings.voters(settings.track)
+        for expert in choose_experts(recordings, settings.track, settings.experts):
+            if expert not in voters:
+                raise ConfigurationError(unknown(f"expert of track {settings.track}", expert, voters))
+        linear = fit_linear(self._build_replay(training)) if settings.reward == "improvement" else None
+        replay = self._build_replay(recordings, linear)
+        if len(replay.experts) < 2:
+            raise ConfigurationError(f"experts: expected two or more, got {replay.experts}: nothing to mix")
+        if not np.isfinite(replay.table[:, TRUTH]).all():
+            raise RecordingError("these recordings lack ground truth in some steps: an environment needs it to reward")
+        return Prepared(recordings, training, replay)
+
+    def _build_replay(self, recordings: Recordings, linear: NDArray[np.float64] | None = None) -> Replay:
         s = self.settings
         return self.replay_class(
             recordings,
@@ -168,7 +208,7 @@ class Session:
             lost=s.lost,
             privileged=s.privileged,
             quantities=PAPER if s.observation in ("paper", "pixels") else self.rich,
-            keep_trajectories=keep_trajectories,
+            linear=linear,
         )
 
     def _switch(self, actions: NDArray[np.float32], report: NDArray[np.float64], flat: NDArray[np.float32]) -> None:
@@ -183,8 +223,8 @@ class Session:
             return {"state": flat, **{camera: np.stack([read(p[camera]) for p in paths]) for camera in paths[0]}}
         return flat
 
-    def _compiled_arguments(self) -> tuple[NDArray[Any], ...]:
-        """What :func:`~mixo_env.envs.stepping.play` takes besides the arrays that are fresh in every step."""
+    def _compiled_rules(self) -> NDArray[Any]:
+        """The options as :func:`~mixo_env.envs.stepping.play` reads them."""
         replay, rule, reward = self.replay, self.rule, self.reward
         rules = np.zeros(1, RULES)
         rules[0] = (
@@ -192,12 +232,19 @@ class Session:
             *(replay.mask, replay.fused, replay.rate_limit),
             *(reward.code, reward.scale_rad),
         )
-        return rules, replay.state, replay.table, replay.history, replay.context
+        return rules
 
-    def _named(self, asked: str | Sequence[str], count: int) -> NDArray[np.int64]:
-        names = [asked] * count if isinstance(asked, str) else list(asked)
-        if len(names) != count:
-            raise ConfigurationError(
-                f"scene: expected one name or {count}, got {len(names)}: one per environment reset"
-            )
-        return np.array([self.recordings.index(name) for name in names], dtype=np.int64)
+    def _index(self, name: str) -> int:
+        """Position of a scene by name; one that exists but is not played says where it is."""
+        here = [scene.name for scene in self.recordings.scenes]
+        if name in here:
+            return here.index(name)
+        settings = self.settings
+        for scene in settings.all_recordings().scenes:
+            if scene.name == name:
+                raise ConfigurationError(
+                    f"scene {name!r} is in fold {scene.fold} and shows {', '.join(scene.conditions)}: it is not among "
+                    f"the scenes of split={settings.split!r}, fold={settings.fold}, conditions={settings.conditions}; "
+                    "split='all' plays every fold, split='ood' fold -1"
+                )
+        raise ConfigurationError(unknown("scene", name, here))

@@ -2,28 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any, Literal
 
 from mixo_env.envs.actions import Weighting
 from mixo_env.envs.faults import Fault, inject, read_faults
+from mixo_env.envs.opening import identity, shared_recordings
+from mixo_env.envs.options import check_fields, check_names
 from mixo_env.envs.replay import Lost, Previous
 from mixo_env.envs.reward import RewardName
-from mixo_env.errors import ConfigurationError, unknown
+from mixo_env.errors import ConfigurationError
 from mixo_env.recordings.collection import Recordings
-from mixo_env.recordings.schema import SPLITS, TRACKS
+from mixo_env.recordings.schema import SPLITS
 
 ObservationName = Literal["paper", "rich", "dict", "pixels"]
 Order = Literal["random", "fixed"]
-
-CHOICES = {
-    "track": tuple(TRACKS),
-    "split": tuple(SPLITS),
-    "observation": ("paper", "rich", "dict", "pixels"),
-    "order": ("random", "fixed"),
-}
+Track = Literal["PAPER", "VISION", "CONSUMER"]
+Split = Literal["train", "test", "all", "ood"]
 
 
 @dataclass(frozen=True)
@@ -31,8 +28,8 @@ class Settings:
     """Everything an environment can be asked for; the environments' docstrings explain each."""
 
     recordings: Recordings | str | Path | None = None
-    track: str = "CONSUMER"
-    split: str = "train"
+    track: Track = "CONSUMER"
+    split: Split = "train"
     fold: int = 3
     conditions: Sequence[str] | None = None
     experts: Sequence[str] | None = None
@@ -48,14 +45,13 @@ class Settings:
     dataroot: str | Path | None = None
 
     def __post_init__(self) -> None:
-        for option, valid in CHOICES.items():
-            if getattr(self, option) not in valid:
-                raise ConfigurationError(unknown(f"{option} option", getattr(self, option), valid))
-        for option in ("conditions", "experts", "faults"):
-            if isinstance(getattr(self, option), str):
-                raise ConfigurationError(
-                    f"{option}: expected a list, got {getattr(self, option)!r}: put it in brackets"
-                )
+        check_fields(self)
+        if self.fold not in SPLITS["all"]:
+            raise ConfigurationError(
+                f"fold: expected one of {SPLITS['all']}, got {self.fold!r}: it is the one held out"
+            )
+        if self.raw_scale <= 0:
+            raise ConfigurationError(f"raw_scale: expected a positive number, got {self.raw_scale!r}: e.g. 4.0")
         if self.observation == "pixels" and self.dataroot is None:
             raise ConfigurationError(
                 "observation='pixels' needs the images: give dataroot=, the nuScenes folder recorded"
@@ -64,11 +60,20 @@ class Settings:
     @classmethod
     def read(cls, options: dict[str, Any]) -> Settings:
         """Settings from keyword arguments; an unknown one is an error that names the nearest."""
-        names = [field.name for field in fields(cls)]
-        for name in options:
-            if name not in names:
-                raise ConfigurationError(unknown("option", name, names))
+        check_names(options, cls)
         return cls(**options)
+
+    @property
+    def key(self) -> Hashable:
+        """Equal for settings that play the same: None for recordings in memory, which their owner may change."""
+        if isinstance(self.recordings, Recordings):
+            return None
+        options = ((field.name, repr(getattr(self, field.name))) for field in fields(self))
+        return type(self), identity(self.recordings), *options
+
+    def all_recordings(self) -> Recordings:
+        """The recordings before any choice among them; those from a folder are shared and read only."""
+        return self.recordings if isinstance(self.recordings, Recordings) else shared_recordings(self.recordings)
 
     def open(self) -> tuple[Recordings, Recordings]:
         """The scenes to play and the scenes a reference may be fitted on, both with the faults asked for.
@@ -80,19 +85,10 @@ class Settings:
             ConfigurationError: for unknown names, or when no scene is left.
             RecordingError: when the recordings cannot be read.
         """
-        if isinstance(self.recordings, Recordings):
-            recordings = self.recordings
-        else:
-            from mixo_env.recordings.store import load_recordings
-
-            recordings = load_recordings(self.recordings)
+        recordings = self.all_recordings()
         present = sorted({scene.fold for scene in recordings.scenes})
         others = [fold for fold in present if fold >= 0 and fold != self.fold]
         folds = {"train": others, "test": [self.fold], "all": [f for f in present if f >= 0], "ood": [-1]}[self.split]
-        if self.split != "ood" and self.fold not in SPLITS["all"]:
-            raise ConfigurationError(
-                f"fold: expected one of {SPLITS['all']}, got {self.fold!r}: it is the one held out"
-            )
         if self.fold not in SPLITS["test"]:
             from mixo_env.recordings.vehicles import with_training_constants
 

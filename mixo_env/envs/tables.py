@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from mixo_env.envs.stepping import DISTANCE, DT, LINEAR_ERROR, SUBSTITUTE, TRUE_X, TRUE_Y, TRUE_YAW, TRUTH
 from mixo_env.errors import ConfigurationError, RecordingError, unknown
+from mixo_env.fusion import mix
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.schema import TRACKS
 from mixo_env.recordings.vehicles import travelled_m
@@ -77,7 +78,12 @@ def collect_votes(
 
 
 def tabulate_steps(
-    recordings: Recordings, steps: NDArray[np.intp], start: FloatArray, votes: Votes, mask: bool
+    recordings: Recordings,
+    steps: NDArray[np.intp],
+    start: FloatArray,
+    votes: Votes,
+    mask: bool,
+    linear: FloatArray | None = None,
 ) -> FloatArray:
     """The table of steps, columns as in :mod:`mixo_env.envs.stepping`.
 
@@ -87,18 +93,20 @@ def tabulate_steps(
         start: ``(scenes, 3)`` x [m], y [m], yaw [rad] of every scene's first pose.
         votes: of those rows.
         mask: experts without an increment do not vote (otherwise the substitute votes in their place).
+        linear: ``(experts,)`` weights of LINEAR, where its error is wanted.
 
     Raises:
         RecordingError: for a step without duration or distance.
     """
     lengths = [scene.rows - 1 for scene in recordings.scenes]
     x, y, yaw = np.repeat(start, lengths, axis=0).T
+    truth = recordings["truth.yaw_increment_rad"][steps]
     columns = {
         SUBSTITUTE: votes.substitute_rad,
         DT: recordings["dt_s"][steps],
         DISTANCE: travelled_m(recordings)[steps],
-        LINEAR_ERROR: np.zeros(len(steps)),
-        TRUTH: recordings["truth.yaw_increment_rad"][steps],
+        LINEAR_ERROR: np.zeros(len(steps)) if linear is None else mix(linear, votes.increments_rad) - truth,
+        TRUTH: truth,
         TRUE_YAW: recordings["truth.yaw_rad"][steps] - yaw,
         TRUE_X: recordings["truth.x_m"][steps] - x,
         TRUE_Y: recordings["truth.y_m"][steps] - y,

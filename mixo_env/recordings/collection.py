@@ -111,6 +111,9 @@ class Recordings:
             for name in scenes:
                 self.index(name)
         wanted = set(conditions or ())
+        shown = {condition for entry in self.scenes for condition in entry.conditions}
+        for condition in sorted(wanted - shown):
+            raise ConfigurationError(unknown("condition", condition, shown))
         keep = [
             i
             for i, entry in enumerate(self.scenes)
