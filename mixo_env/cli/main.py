@@ -49,7 +49,7 @@ def main(argv: list[str] | None = None) -> int:
     """Parse ``argv`` (default: the process arguments), run the command, return its exit code."""
     import tyro
 
-    from mixo_env.errors import ConfigurationError, MixoError
+    from mixo_env.errors import ConfigurationError, MixoError, printable
 
     arguments = sys.argv[1:] if argv is None else argv
     verbose = "-v" in arguments
@@ -65,10 +65,10 @@ def main(argv: list[str] | None = None) -> int:
         left = command.interrupted
         return command.run()
     except ConfigurationError as error:
-        print(f"mixo: {error}", file=sys.stderr)
+        print(f"mixo: {printable(str(error))}", file=sys.stderr)
         return 2
     except MixoError as error:
-        print(f"mixo: {error}", file=sys.stderr)
+        print(f"mixo: {printable(str(error))}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         print(f"mixo: interrupted; {left}", file=sys.stderr)

@@ -37,6 +37,8 @@ _LATEST_S = 1e11
 _FURTHEST_M = 1e9
 """Larger coordinates are no place on Earth, and squares of much larger ones overflow."""
 _LAST_FRAME = 10_000_000
+_LAST_ROW_TOLERANCE = 1e-6
+_LONGEST_STEP_S = 1e3
 
 
 @dataclass
@@ -85,12 +87,13 @@ class TrajectoryFiles:
     def _quaternion_poses(self, table: NumberTable) -> Trajectory:
         values = table.values
         stamps = _times(table, values[:, 0])
+        positions_m = _positions(table, values[:, 1:4])
+        _check_unit(table, values[:, 4:8])
         quaternions, note = quaternion_columns(table, self.quaternions)
         if note:
             self.notes[table.path] = note
-        return Trajectory(
-            _positions(table, values[:, 1:4]), _unit(table, quaternions), stamps, counted=_counted(values[:, 0])
-        )
+        quaternions /= np.linalg.norm(quaternions, axis=1, keepdims=True)
+        return Trajectory(positions_m, quaternions, stamps, counted=_counted(values[:, 0]))
 
     def _matrix_poses(self, table: NumberTable, columns: FloatArray) -> Trajectory:
         stamps, counted = None, False
@@ -154,13 +157,13 @@ def _matrix_columns(table: NumberTable) -> FloatArray | None:
     if columns not in (16, 17):
         return None
     last = np.abs(values[:, -4:] - np.array([0.0, 0.0, 0.0, 1.0])).max(axis=1)
-    if not last.any():
+    if last.max() < _LAST_ROW_TOLERANCE:
         return values[:, columns - 16 : columns - 4]
     if columns == 17:  # EuRoC with velocity and biases
         return None
     if not np.any(values[:, 3:12:4]) and np.all(values[:, 15] == 1.0):
         raise table.error(0, "expected 4x4 matrices row by row, these look written column by column; transpose them")
-    row = int(np.flatnonzero(last)[0])
+    row = int(np.argmax(last))
     raise table.error(row, "expected a 4x4 matrix (16 columns) with the last row 0 0 0 1, got another last row")
 
 
@@ -211,18 +214,22 @@ def _read_times(path: Path, poses: NumberTable, frames: FloatArray | None) -> Fl
     return times
 
 
-def _unit(table: NumberTable, quaternions_wxyz: FloatArray) -> FloatArray:
-    norm = np.linalg.norm(np.clip(quaternions_wxyz, -2.0, 2.0), axis=1)
+def _check_unit(table: NumberTable, quaternions: FloatArray) -> None:
+    norm = np.linalg.norm(np.clip(quaternions, -2.0, 2.0), axis=1)
     bad = np.flatnonzero(np.abs(norm - 1.0) > _QUATERNION_TOLERANCE)
     if len(bad):
         raise table.error(
             bad[0], f"expected a quaternion of length 1, got {norm[bad[0]]:.6g}; check the order of columns"
         )
-    return quaternions_wxyz / norm[:, None]
 
 
 def _times(table: NumberTable, stamps: FloatArray) -> FloatArray:
     """Seconds, from seconds or nanoseconds."""
+    wild = np.flatnonzero(np.abs(stamps) > 1e9 * _LATEST_S)
+    if len(wild):
+        raise table.error(
+            wild[0], f"expected a time in seconds or nanoseconds, got {stamps[wild[0]]:.6g}, out of range"
+        )
     back = np.flatnonzero(np.diff(stamps) <= 0.0)
     if len(back):
         row = int(back[0]) + 1
@@ -241,5 +248,10 @@ def _times(table: NumberTable, stamps: FloatArray) -> FloatArray:
             late[0],
             f"expected a time in seconds or nanoseconds, got {stamps[late[0]]:.6g}, "
             + (f"which looks like {hint}" if hint else "out of range; check the first column"),
+        )
+    step = float(np.median(np.diff(times)))
+    if step > _LONGEST_STEP_S:
+        raise table.error(
+            0, f"expected times in seconds or nanoseconds, got steps of {step:g}: convert the times to seconds"
         )
     return times
