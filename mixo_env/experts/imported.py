@@ -18,9 +18,10 @@ MAXIMUM_GAP_S = 0.6
 def imported_increments(trajectory: Trajectory, timestamps_us: NDArray[np.int64]) -> FloatArray:
     """Yaw increments of a trajectory over the steps of a scene.
 
-    Yaw is summed up from the turns between neighbouring poses, each about the vehicle's own up axis, as the increments
-    of all experts are; the frame of the file may be tilted as it likes. It is interpolated between the two poses around each closing time; where the times differ from the trajectory's
-    own, the later pose therefore lies after t_k. Files are data: what their program saw when is not known.
+    Yaw is summed up from the turns between neighbouring poses, each about the vehicle's own up axis: the frame of the
+    file may be tilted as it likes. It is interpolated between the two poses around each closing time; where the times
+    differ from the trajectory's own, the later pose therefore lies after t_k. Files are data: what their program saw
+    when is not known.
 
     Args:
         trajectory: with times in Unix seconds.

@@ -18,8 +18,8 @@ def scene_files(path: Path, rpg_name: str) -> dict[str, Path]:
     """Scene name (printable) -> trajectory file.
 
     Args:
-        path: a file, pipe or ``-`` (one scene, named by its stem); a folder of the rpg layout, or of such folders (each a scene named
-            by its folder); or a folder of trajectory files (each a scene named by its stem).
+        path: a file, pipe or ``-`` (one scene, named by its stem); a folder of the rpg layout, or of such folders
+            (each a scene named by its folder); or a folder of trajectory files (each a scene named by its stem).
         rpg_name: ``RPG_TRUTH`` or ``RPG_ESTIMATE``.
 
     Raises:
