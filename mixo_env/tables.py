@@ -9,7 +9,22 @@ import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from mixo_env.errors import printable
+
 Cell = str | int | float | None
+
+_FORMULA = tuple("=+-@＝＋－＠")
+
+
+def csv_cell(cell: Cell) -> Cell:
+    """A cell as every CSV file of ours holds it: a missing value is empty, text is no formula.
+
+    Spreadsheets run text that begins with ``=``, ``+``, ``-`` or ``@``: names from data get an apostrophe before it.
+    """
+    if isinstance(cell, str):
+        cell = printable(cell)
+        return f"'{cell}" if cell.lstrip()[:1] in _FORMULA else cell
+    return "" if cell is None or (isinstance(cell, float) and math.isnan(cell)) else cell
 
 
 @dataclass(frozen=True)
@@ -24,7 +39,7 @@ class Column:
         """The cell as printed; a missing value is a dash."""
         if cell is None or (isinstance(cell, float) and math.isnan(cell)):
             return "-"
-        return cell if isinstance(cell, str) else format(cell, self.spec)
+        return printable(cell) if isinstance(cell, str) else format(cell, self.spec)
 
     @property
     def title(self) -> str:
@@ -56,7 +71,7 @@ class Table:
         writer = csv.writer(out, lineterminator="\n")
         writer.writerow([column.title for column in self.columns])
         for row in self.rows:
-            writer.writerow(["" if isinstance(cell, float) and math.isnan(cell) else cell for cell in row])
+            writer.writerow([csv_cell(cell) for cell in row])
         return out.getvalue()
 
     def markdown(self) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,13 +14,15 @@ from mixo_env.tables import Table
 
 if TYPE_CHECKING:
     from mixo_env.scoring.scores import Convention, MethodScore
+    from mixo_env.trajectory.formats import TrajectoryFiles
 
 
 @dataclass(frozen=True)
 class Evaluate:
     """Score estimated trajectories against ground truth: ATE, RTE, KITTI, end drift and more (docs/metrics.md).
 
-    Files are TUM, KITTI or EuRoC (told from their columns). Folders hold one file per scene, with the same names on
+    Files are TUM, KITTI, EuRoC, VINS or 4x4 matrices, told from their columns (docs/trajectories.md); - is standard
+    input. Folders hold one file per scene, with the same names on
     both sides, or the layout of rpg_trajectory_evaluation (then give the same folder twice).
 
     Worked examples:
@@ -55,6 +58,8 @@ class Evaluate:
     """Largest time difference of two poses that belong together [s]."""
     times: Path | None = None
     """For KITTI files: one time in seconds a line, for both sides. Without times poses match by index."""
+    quaternions: Literal["file", "xyzw", "wxyz"] = "file"
+    """Order of quaternions in files that do not tell it by heading; file: as their format has it."""
     format: Literal["table", "csv", "markdown", "latex"] = "table"
     """What is printed."""
     json: Annotated[bool, tyro.conf.FlagCreatePairsOff] = False
@@ -66,30 +71,40 @@ class Evaluate:
 
     def run(self) -> int:
         """Read, match, score, print."""
+        import itertools
         import json
         import logging
+        import sys
 
-        from mixo_env.errors import ConfigurationError
+        from mixo_env.cli.results import run_folder
+        from mixo_env.errors import ConfigurationError, printable
         from mixo_env.scoring.scores import read_matched, score
+        from mixo_env.trajectory.formats import TrajectoryFiles
+        from mixo_env.trajectory.text import STANDARD_INPUT
 
         if not self.estimate:
             raise ConfigurationError("expected at least one file or folder after --estimate, got none")
         if self.figures and self.out is None:
             raise ConfigurationError("--figures needs a folder to draw into: give --out FOLDER")
+        if [self.groundtruth, *self.estimate, self.times].count(STANDARD_INPUT) > 1:
+            raise ConfigurationError("- is standard input and can be one file only, it is given several times")
         convention = self._convention()
+        if self.out is not None:
+            run_folder("evaluate", self.out)  # now, not after the work
+        files = TrajectoryFiles(self.times, self.quaternions)
         scores = []
         for name, path in zip(_method_names(self.estimate), self.estimate, strict=True):
-            matched = read_matched(name, self.groundtruth, path, convention, self.times)
+            matched = read_matched(name, self.groundtruth, path, convention, files)
             scores.append(score(matched, convention))
-            if self.align == "none":
-                _warn_of_other_start(scores[-1])
+        for note in (*_assumptions(files), *itertools.chain(*map(self._notes, scores))):
+            print(f"note: {printable(note)}", file=sys.stderr)
         numbers = {
             "convention": convention.as_numbers(),
             "methods": {method.name: method.as_numbers() for method in scores},
         }
         if self.out is not None:
             self._save(self.out, scores, convention, numbers)
-            logging.getLogger(__name__).info("saved to %s", self.out)
+            logging.getLogger(__name__).info("saved to %s", printable(str(self.out)))
         if self.json:
             print(json.dumps(numbers, indent=2))
         else:
@@ -113,6 +128,25 @@ class Evaluate:
         if not self.max_difference_s > 0.0:
             raise ConfigurationError(f"expected --max-difference-s above 0, got {self.max_difference_s}")
         return Convention(self.align, self.align_poses, self.max_difference_s, rule)
+
+    def _notes(self, method: MethodScore) -> list[str]:
+        """What a reader of one method's scores must know: scenes without a scale, a frame of its own."""
+        notes = []
+        if method.unscaled:
+            shown = ", ".join(method.unscaled[:5]) + (", ..." if len(method.unscaled) > 5 else "")
+            notes.append(
+                f"{method.name}: sim3 has no scale where truth or estimate stands; {len(method.unscaled)} of "
+                f"{len(method.matched.scenes)} scenes are aligned by se3: {shown}"
+            )
+        starts = method.matched.offsets[:-1]
+        apart_m = float(method.absolute.translation_m[starts].max())
+        turned_deg = float(method.absolute.rotation_deg[starts].max())
+        if self.align == "none" and (apart_m > 1.0 or turned_deg > 5.0):
+            notes.append(
+                f"{method.name} starts {apart_m:.1f} m and {turned_deg:.1f} deg from the ground truth, and nothing "
+                "was aligned: its ATE says little; --align se3 --align-poses 1 aligns the first pose"
+            )
+        return notes
 
     def _printed(self, numbers: dict[str, Any]) -> str:
         from mixo_env.scoring.score_tables import headline, several
@@ -148,13 +182,19 @@ class Evaluate:
 
 def _method_names(paths: Sequence[Path]) -> list[str]:
     """The shortest distinct ends of the paths: ``orb`` and ``mixo``, or ``a/est`` and ``b/est``."""
-    from mixo_env.errors import ConfigurationError
+    from mixo_env.errors import ConfigurationError, printable
     from mixo_env.trajectory.layout import RPG_ESTIMATE
+    from mixo_env.trajectory.text import STANDARD_INPUT
 
     parts = []
     for path in paths:
-        named = path.parent if path.name == RPG_ESTIMATE else path.with_suffix("") if path.is_file() else path
-        parts.append(named.absolute().parts)
+        if path == STANDARD_INPUT:
+            parts.append(("stdin",))
+            continue
+        # os.path.isfile never raises, whatever the name.
+        is_file = os.path.isfile(path)  # noqa: PTH113
+        named = path.parent if path.name == RPG_ESTIMATE else path.with_suffix("") if is_file else path
+        parts.append(tuple(map(printable, named.absolute().parts)))
     if len(set(parts)) < len(parts):
         raise ConfigurationError("the same estimate is given twice: give each method once")
     depth = 1
@@ -163,16 +203,9 @@ def _method_names(paths: Sequence[Path]) -> list[str]:
     return ["-".join(part[-depth:]) for part in parts]
 
 
-def _warn_of_other_start(method: MethodScore) -> None:
-    """Say so when an unaligned estimate obviously lives in a frame of its own."""
-    import sys
-
-    starts = method.matched.offsets[:-1]
-    apart_m = float(method.absolute.translation_m[starts].max())
-    turned_deg = float(method.absolute.rotation_deg[starts].max())
-    if apart_m > 1.0 or turned_deg > 5.0:
-        print(
-            f"note: {method.name} starts {apart_m:.1f} m and {turned_deg:.1f} deg from the ground truth, and nothing "
-            "was aligned: its ATE says little; --align se3 --align-poses 1 aligns the first pose",
-            file=sys.stderr,
-        )
+def _assumptions(files: TrajectoryFiles) -> list[str]:
+    """What had to be assumed to read the files, each thing once."""
+    first: dict[str, tuple[Path, int]] = {}
+    for path, note in files.notes.items():
+        first[note] = (first.get(note, (path, 0))[0], first.get(note, (path, 0))[1] + 1)
+    return [f"{path}{f' and {count - 1} more' if count > 1 else ''}: {note}" for note, (path, count) in first.items()]

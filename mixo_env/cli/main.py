@@ -66,7 +66,7 @@ def run(arguments: list[str]) -> int:
     """Parse ``arguments``, run the command, and turn the errors a user can cause into a line and an exit code."""
     import tyro
 
-    from mixo_env.errors import ConfigurationError, MixoError
+    from mixo_env.errors import ConfigurationError, MixoError, printable
 
     if arguments == ["--version"]:
         from mixo_env import __version__
@@ -86,10 +86,10 @@ def run(arguments: list[str]) -> int:
         left = command.interrupted
         return command.run()
     except ConfigurationError as error:
-        print(f"mixo: {error}", file=sys.stderr)
+        print(f"mixo: {printable(str(error))}", file=sys.stderr)
         return 2
     except MixoError as error:
-        print(f"mixo: {error}", file=sys.stderr)
+        print(f"mixo: {printable(str(error))}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         print(f"mixo: interrupted; {left}", file=sys.stderr)

@@ -18,7 +18,7 @@ from mixo_env.metrics.bootstrap import Interval
 from mixo_env.metrics.relative import RelativeSamples
 from mixo_env.metrics.tracks import LostTracks
 from mixo_env.recordings.schema import TRACKS
-from mixo_env.tables import Column
+from mixo_env.tables import Column, csv_cell
 from mixo_env.tables import Table as TextTable
 
 COLUMNS = ("policy", "RTE %", "RTE deg/m", "ATE m", "ATE deg", "lost/scene", "yaw deg", "> 0.5 m")
@@ -221,7 +221,8 @@ def to_csv(board: Leaderboard) -> str:
                         row.lost.counts[i] if row.lost else "",
                     )
                     names = (table.track, row.run.name, int(row.run.privileged), truth)
-                    writer.writerow([*names, entries[i].name, entries[i].log, entries[i].fold, *numbers])
+                    texts = map(csv_cell, (*names, entries[i].name, entries[i].log))
+                    writer.writerow([*texts, entries[i].fold, *numbers])
     return text.getvalue()
 
 

@@ -23,6 +23,11 @@ from mixo_env.trajectory import Trajectory
 
 ALIGNMENTS = ("none", "posyaw", "se3", "sim3")
 
+_LEAST_SPREAD_M = 0.05
+"""RMS distance of true positions from their mean below which they stand: satellite positions jitter by some cm."""
+_LEAST_RATIO = 1e-6
+"""Below this share of the true spread an estimate stands too: its scale would be the size of its rounding."""
+_LARGEST_M = 1e12
 _DEGENERATE = 1e-12
 """Below this share of the largest singular value a direction of the correlation counts as empty."""
 
@@ -44,7 +49,12 @@ class Alignment:
             multiply_quaternions_wxyz(quaternion_wxyz_from_rotation(self.rotation), estimate.quaternions_wxyz),
             estimate.timestamps_s,
             estimate.camera_axes,
+            estimate.counted,
         )
+
+
+class NoScaleError(TrajectoryError):
+    """A scale was asked for, but truth or estimate stands."""
 
 
 def align(truth: Trajectory, estimate: Trajectory, method: str = "none", first: int | None = None) -> Alignment:
@@ -58,7 +68,8 @@ def align(truth: Trajectory, estimate: Trajectory, method: str = "none", first: 
 
     Raises:
         ConfigurationError: for an unknown method or a number of poses it cannot use.
-        TrajectoryError: when sim3 is asked of an estimate that does not move.
+        NoScaleError: when sim3 is asked of a truth or an estimate that stands.
+        TrajectoryError: when positions are out of range.
     """
     if method not in ALIGNMENTS:
         raise ConfigurationError(unknown("alignment", method, ALIGNMENTS))
@@ -69,6 +80,9 @@ def align(truth: Trajectory, estimate: Trajectory, method: str = "none", first: 
         )
     if method == "none":
         return Alignment()
+    for name, poses in (("truth", truth), ("estimate", estimate)):  # the SVD of infinity never ends
+        if not np.abs(poses.positions_m).max() <= _LARGEST_M:
+            raise TrajectoryError(f"expected finite coordinates up to {_LARGEST_M:g} m, the {name} holds larger ones")
     if first == 1:
         return _align_first_pose(truth, estimate, yaw_only=method == "posyaw")
     p, q = truth.positions_m[:first], estimate.positions_m[:first]
@@ -82,11 +96,20 @@ def align(truth: Trajectory, estimate: Trajectory, method: str = "none", first: 
         sign = np.array([1.0, 1.0, np.linalg.det(u) * np.linalg.det(vt)]).round()
         rotation = _shortest_turn(u[:, 0], vt[0], d) if d[1] <= _DEGENERATE * d[0] else u * sign @ vt
         if method == "sim3":
-            spread = np.mean(np.sum(q * q, axis=1))
-            if spread == 0.0:
-                raise TrajectoryError("sim3 needs an estimate that moves, all its positions are equal; use se3 or none")
-            scale = float(d @ sign / spread)
+            scale = float(d @ sign / _spread(p, q) ** 2)
     return Alignment(scale, rotation, p_mean - scale * rotation @ q_mean)
+
+
+def _spread(p: FloatArray, q: FloatArray) -> float:
+    """RMS distance of the estimate's positions ``q`` ``(n, 3)`` from their mean 0, if those and the truth's move."""
+    true, own = (float(np.sqrt(np.mean(np.sum(x * x, axis=1)))) for x in (p, q))
+    for name, spread, least in (("a truth", true, _LEAST_SPREAD_M), ("an estimate", own, _LEAST_RATIO * true)):
+        if spread < least:
+            raise NoScaleError(
+                f"sim3 needs {name} that moves, its {len(p)} positions lie within {spread:.2g} m (RMS) of one place; "
+                "use se3 or none"
+            )
+    return own
 
 
 def _best_yaw(correlation: FloatArray) -> FloatArray:

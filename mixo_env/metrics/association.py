@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from mixo_env.errors import TrajectoryError
@@ -11,6 +13,7 @@ from mixo_env.trajectory import Trajectory
 
 MAX_DIFFERENCE_S = 0.02
 _LEAST_PAIRS = 3
+_MOST_CANDIDATES = 20_000_000
 _UNITS = {1e3: "milliseconds", 1e6: "microseconds", 1e9: "nanoseconds"}
 
 
@@ -28,9 +31,18 @@ def associate(
 
     Returns:
         Rows of the first and of the second, increasing, of equal length.
+
+    Raises:
+        TrajectoryError: when the limit lets so many pairs through that memory would not hold them.
     """
     low = np.searchsorted(second_s, first_s - 2.0 * max_difference_s)
     high = np.searchsorted(second_s, first_s + 2.0 * max_difference_s, side="right")
+    candidates = int(np.sum(high - low))
+    if candidates > _MOST_CANDIDATES:
+        raise TrajectoryError(
+            f"expected a time difference that leaves few choices, {max_difference_s:g} s leaves {candidates} pairs of "
+            f"{len(first_s)} and {len(second_s)} poses; give less than the time from pose to pose"
+        )
     rows = np.repeat(np.arange(len(first_s)), high - low)
     columns = np.arange(len(rows)) - np.repeat(np.cumsum(high - low) - (high - low), high - low) + low[rows]
     difference = np.abs(first_s[rows] - second_s[columns])
@@ -51,6 +63,8 @@ def match(
 ) -> tuple[Trajectory, Trajectory]:
     """The poses of both that belong together, in time order; trajectories without times match by index.
 
+    Where one has no times and the first column of the other holds whole numbers, these are frames of the first.
+
     Args:
         truth: ``N`` poses.
         estimate: ``M`` poses.
@@ -61,6 +75,12 @@ def match(
         TrajectoryError: for fewer than 3 pairs, for times on one side only, or for different lengths without times.
     """
     if truth.timestamps_s is None or estimate.timestamps_s is None:
+        if estimate.timestamps_s is not None and estimate.counted:
+            rows = _frames(estimate.timestamps_s, len(truth), (names[1], names[0]))
+            return truth[rows], replace(estimate, timestamps_s=None)
+        if truth.timestamps_s is not None and truth.counted:
+            rows = _frames(truth.timestamps_s, len(estimate), names)
+            return replace(truth, timestamps_s=None), estimate[rows]
         if truth.timestamps_s is not None or estimate.timestamps_s is not None:
             timed, untimed = names if estimate.timestamps_s is None else names[::-1]
             raise TrajectoryError(
@@ -82,6 +102,18 @@ def match(
             f"{names[0]} covers {_range(first)}, {names[1]} covers {_range(second)}; {_advice(first, second)}"
         )
     return truth[rows], estimate[columns]
+
+
+def _frames(numbers: FloatArray, count: int, names: tuple[str, str]) -> IntArray:
+    """Rows of an untimed trajectory of ``count`` poses that ``numbers`` of another name."""
+    if len(numbers) < _LEAST_PAIRS:
+        raise TrajectoryError(f"expected at least {_LEAST_PAIRS} poses, got {len(numbers)} in {names[0]}")
+    if numbers[-1] >= count:
+        raise TrajectoryError(
+            f"{names[0]} numbers frames up to {numbers[-1]:.0f}, {names[1]} holds {count} without times; "
+            "frames count from 0: subtract 1, or give times for both"
+        )
+    return numbers.astype(np.int64)
 
 
 def _take_closest_first(rows: IntArray, columns: IntArray, difference: FloatArray) -> IntArray:

@@ -20,13 +20,14 @@ from mixo_env.metrics.aggregate import (
     share_above,
     statistics,
 )
-from mixo_env.metrics.alignment import align
+from mixo_env.metrics.alignment import NoScaleError, align
 from mixo_env.metrics.anatomy import error_anatomy
 from mixo_env.metrics.association import MAX_DIFFERENCE_S, match
 from mixo_env.metrics.increments import increment_score, increments
 from mixo_env.metrics.pairs import IntArray, PairRule, find_end_pairs, find_kitti_pairs, find_pairs, path_length
 from mixo_env.metrics.relative import RelativeSamples, relative_errors
-from mixo_env.trajectory import Trajectory, read_trajectory
+from mixo_env.trajectory import Trajectory
+from mixo_env.trajectory.formats import TrajectoryFiles
 from mixo_env.trajectory.layout import pair_scenes
 
 
@@ -102,6 +103,7 @@ class MethodScore:
         relative: errors of every piece.
         kitti: errors of the KITTI benchmark's pieces.
         end: error of each scene from end to end.
+        unscaled: scenes where truth or estimate stands, so that sim3 has no scale: aligned by se3.
     """
 
     matched: Matched
@@ -112,6 +114,7 @@ class MethodScore:
     relative: RelativeSamples
     kitti: RelativeSamples
     end: RelativeSamples
+    unscaled: tuple[str, ...] = ()
 
     @property
     def name(self) -> str:
@@ -128,6 +131,7 @@ class MethodScore:
         numbers = {
             "poses": len(self.matched.truth),
             "path_m": self._path_m(),
+            "aligned_without_scale": list(self.unscaled),
             "scenes": {name: self._scene(scene) for scene, name in enumerate(self.matched.scenes)},
             "ate_over_scenes": {
                 "translation_m": asdict(statistics(ate.translation_m)),
@@ -161,7 +165,7 @@ class MethodScore:
         return {
             "poses": rows.stop - rows.start,
             "path_m": float(self.distance_m[rows.stop - 1]),
-            "scale": float(self.scales[scene]),
+            "scale": None if self.matched.scenes[scene] in self.unscaled else float(self.scales[scene]),
             "ate": {
                 "translation_m": asdict(statistics(self.absolute.translation_m[rows])),
                 "rotation_deg": asdict(statistics(self.absolute.rotation_deg[rows])),
@@ -194,7 +198,7 @@ class MethodScore:
         return {"yaw": yaw, "anatomy": anatomy}
 
 
-def read_matched(name: str, truth: Path, estimate: Path, convention: Convention, times: Path | None = None) -> Matched:
+def read_matched(name: str, truth: Path, estimate: Path, convention: Convention, files: TrajectoryFiles) -> Matched:
     """Read and match every scene of one method.
 
     Args:
@@ -202,11 +206,11 @@ def read_matched(name: str, truth: Path, estimate: Path, convention: Convention,
         truth: file or folder.
         estimate: file or folder of the same scenes.
         convention: its time limit is used.
-        times: for KITTI files: one time a line, for both sides.
+        files: reads each file once, however many methods share it.
     """
     pairs = {}
     for scene, (truth_file, estimate_file) in pair_scenes(truth, estimate).items():
-        poses = read_trajectory(truth_file, times), read_trajectory(estimate_file, times)
+        poses = files.read(truth_file), files.read(estimate_file)
         pairs[scene] = match(*poses, convention.max_difference_s, (str(truth_file), str(estimate_file)))
     return join(name, pairs)
 
@@ -222,10 +226,17 @@ def join(name: str, pairs: Mapping[str, tuple[Trajectory, Trajectory]]) -> Match
 def score(matched: Matched, convention: Convention) -> MethodScore:
     """All errors of one method under one convention."""
     truth, offsets, rule = matched.truth, matched.offsets, convention.pair_rule
-    aligned, scales = [], []
+    aligned, scales, unscaled = [], [], []
     for first, stop in zip(offsets[:-1].tolist(), offsets[1:].tolist(), strict=True):
         scene = matched.estimate[first:stop]
-        alignment = align(truth[first:stop], scene, convention.align, convention.align_poses)
+        try:
+            alignment = align(truth[first:stop], scene, convention.align, convention.align_poses)
+        except NoScaleError:
+            if len(matched.scenes) == 1:
+                raise
+            # One standing scene of many must not keep the others from being scored; the result names it.
+            alignment = align(truth[first:stop], scene, "se3", convention.align_poses)
+            unscaled.append(matched.scenes[len(scales)])
         aligned.append(alignment.apply(scene))
         scales.append(alignment.scale)
     estimate = _concatenate(aligned)
@@ -241,6 +252,7 @@ def score(matched: Matched, convention: Convention) -> MethodScore:
         relative=relative,
         kitti=relative_errors(truth, estimate, find_kitti_pairs(distance_m, offsets)),
         end=relative_errors(truth, estimate, find_end_pairs(distance_m, offsets)),
+        unscaled=tuple(unscaled),
     )
 
 
@@ -253,6 +265,7 @@ def _concatenate(parts: list[Trajectory] | tuple[Trajectory, ...]) -> Trajectory
         np.concatenate([part.quaternions_wxyz for part in parts]),
         None if any(time is None for time in times) else np.concatenate([t for t in times if t is not None]),
         all(part.camera_axes for part in parts),
+        all(part.counted for part in parts),
     )
 
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from mixo_env.errors import TrajectoryError
+from mixo_env.errors import TrajectoryError, printable
+from mixo_env.trajectory.text import STANDARD_INPUT
 
 RPG_TRUTH = "stamped_groundtruth.txt"
 RPG_ESTIMATE = "stamped_traj_estimate.txt"
@@ -14,23 +15,35 @@ _NOT_POSES = ("times", "timestamps")
 
 
 def scene_files(path: Path, rpg_name: str) -> dict[str, Path]:
-    """Scene name -> trajectory file.
+    """Scene name (printable) -> trajectory file.
 
     Args:
-        path: a file (one scene, named by its stem); a folder of the rpg layout, or of such folders (each a scene named
-            by its folder); or a folder of trajectory files (each a scene named by its stem).
+        path: a file, pipe or ``-`` (one scene, named by its stem); a folder of the rpg layout, or of such folders
+            (each a scene named by its folder); or a folder of trajectory files (each a scene named by its stem).
         rpg_name: ``RPG_TRUTH`` or ``RPG_ESTIMATE``.
 
     Raises:
         TrajectoryError: when nothing of the kind is there.
     """
-    if path.is_file():
-        return {path.stem: path}
-    if not path.is_dir():
+    if path == STANDARD_INPUT:
+        return {"stdin": path}
+    try:
+        return _scene_files(path, rpg_name)
+    except (OSError, ValueError) as error:  # ValueError: a NUL in the name
+        reason = (error.strerror if isinstance(error, OSError) else None) or str(error)
+        raise TrajectoryError(
+            f"{path}: expected a trajectory file or a folder of them, cannot look: {reason}"
+        ) from None
+
+
+def _scene_files(path: Path, rpg_name: str) -> dict[str, Path]:
+    if not path.exists():
         raise TrajectoryError(f"{path}: expected a trajectory file or a folder of them, found nothing there")
+    if not path.is_dir():  # a file, or a pipe as of the shell's <(...)
+        return {printable(path.stem): path}
     if (path / rpg_name).is_file():
-        return {path.name: path / rpg_name}
-    nested = {file.parent.name: file for file in sorted(path.glob(f"*/{rpg_name}"))}
+        return {printable(path.name): path / rpg_name}
+    nested = {printable(file.parent.name): file for file in sorted(path.glob(f"*/{rpg_name}"))}
     if nested:
         return nested
     files = [
@@ -42,7 +55,7 @@ def scene_files(path: Path, rpg_name: str) -> dict[str, Path]:
         raise TrajectoryError(
             f"{path}: expected trajectory files ({', '.join(_SUFFIXES)}) or folders with {rpg_name}, found none"
         )
-    scenes = {file.stem: file for file in files}
+    scenes = {printable(file.stem): file for file in files}
     if len(scenes) < len(files):
         raise TrajectoryError(f"{path}: expected one file per scene, two share a name; keep one suffix per folder")
     return scenes

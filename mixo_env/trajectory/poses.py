@@ -28,12 +28,14 @@ class Trajectory:
         timestamps_s: ``(N,)`` increasing, or ``None`` for a file without times.
         camera_axes: body and world axes are x right, y down, z forward, as the KITTI format defines them; otherwise z
             points up. Only what is seen *from above* (heading, top view) depends on it.
+        counted: the times are whole numbers that may number the frames of a file without times.
     """
 
     positions_m: FloatArray
     quaternions_wxyz: FloatArray
     timestamps_s: FloatArray | None = None
     camera_axes: bool = False
+    counted: bool = False
 
     def __post_init__(self) -> None:
         """Check the shapes; values are checked where files are read."""
@@ -53,7 +55,7 @@ class Trajectory:
     def __getitem__(self, rows: slice | NDArray[np.int64] | NDArray[np.bool_]) -> Trajectory:
         """The poses at ``rows``, in that order."""
         times = None if self.timestamps_s is None else self.timestamps_s[rows]
-        return Trajectory(self.positions_m[rows], self.quaternions_wxyz[rows], times, self.camera_axes)
+        return Trajectory(self.positions_m[rows], self.quaternions_wxyz[rows], times, self.camera_axes, self.counted)
 
     @classmethod
     def from_planar(
