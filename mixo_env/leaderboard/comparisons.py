@@ -1,8 +1,8 @@
-"""Paired comparisons of the rows of one table on the headline: which differences are real, and how small one could be.
+"""Paired comparisons of the rows of one table on the headline: which differences are real, how small one could be.
 
-Two families, each corrected after Holm (1979) by itself. The *confirmatory* one is fixed beforehand: the paper's claims,
-and whether a rule that trains next to nothing does as well. Everything else, all pairs of rows, is *exploratory* and
-gives the letters. Rows that read the truth are in no family.
+Two families, each corrected after Holm (1979) by itself. The *confirmatory* one is fixed beforehand: what the paper
+claims, and whether a rule that trains next to nothing does as well. All pairs of rows are *exploratory* and give the
+letters. Rows that read the truth are in no family.
 """
 
 from __future__ import annotations

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from mixo_env.experts.expert import State
 from mixo_env.files import atomic_path
-from mixo_env.leaderboard.board import Leaderboard, Row, Table
+from mixo_env.leaderboard.board import Leaderboard, Table
 from mixo_env.leaderboard.evaluation import Poses, poses
+from mixo_env.leaderboard.rows import Row
 
 PREFERRED_TRACK = "CONSUMER"
 SCENES = 4
@@ -39,12 +40,12 @@ def draw_trajectories(board: Leaderboard, path: Path) -> None:
     from matplotlib.figure import Figure
 
     table = next((table for table in board.tables if table.track == PREFERRED_TRACK), board.tables[0])
-    shown = [row for row in table.rows if row.run.name in COLOURS]
+    shown = [row for row in table.rows if row.name in COLOURS]
     scenes = _most_winding_of_different_logs(board)
     figure = Figure(figsize=(4.0 * len(scenes), 7.5), layout="constrained")
     FigureCanvasAgg(figure)
     axes: Any = figure.subplots(2, len(scenes), squeeze=False, height_ratios=(3, 2))
-    course = board.courses["truth"]
+    course = board.courses[board.headline]
     motions = [(row, poses(row.run.motion, course.poses, course.offsets)) for row in shown]
     for column, scene in enumerate(scenes):
         rows = slice(*course.offsets[scene : scene + 2])
@@ -53,11 +54,11 @@ def draw_trajectories(board: Leaderboard, path: Path) -> None:
         true = _from_start(course.poses, course.poses, rows)
         above.plot(*true, color="black", linewidth=2.5, label="truth")
         for row, estimate in motions:
-            style = {"color": COLOURS[row.run.name], "label": row.run.name}
+            style = {"color": COLOURS[row.name], "label": row.name}
             way = _from_start(estimate, course.poses, rows)
             above.plot(*way, linewidth=1.2, **style)
             lost = _lost(board, row, rows)
-            above.plot(way[0][lost], way[1][lost], ".", color=COLOURS[row.run.name], markersize=5)
+            above.plot(way[0][lost], way[1][lost], ".", color=COLOURS[row.name], markersize=5)
             error = np.hypot(estimate.x_m - course.poses.x_m, estimate.y_m - course.poses.y_m)[rows]
             below.plot(course.travelled_m[rows], error, linewidth=1.2, **style)
         above.set_title(f"{entry.name} ({entry.log})", fontsize=9)
@@ -85,7 +86,7 @@ def _title(board: Leaderboard, table: Table) -> str:
 
 def _most_winding_of_different_logs(board: Leaderboard) -> list[int]:
     """Up to ``SCENES`` scenes, one per log while there are enough logs, in the order of the recordings."""
-    course, entries = board.courses["truth"], board.recordings.scenes
+    course, entries = board.courses[board.headline], board.recordings.scenes
     turned = [np.ptp(course.poses.yaw_rad[first:stop]) for first, stop in itertools.pairwise(course.offsets)]
     order = np.argsort(-np.array(turned), kind="stable").tolist()
     first_of_log = {entries[i].log: i for i in reversed(order)}
@@ -102,7 +103,7 @@ def _from_start(way: Poses, truth: Poses, rows: slice) -> tuple[NDArray[np.float
 
 def _lost(board: Leaderboard, row: Row, rows: slice) -> NDArray[np.bool_]:
     """Where the camera of this row, if it is one, was lost."""
-    column = f"{row.run.name}.state"
+    column = f"{row.name}.state"
     if column not in board.recordings:
         return np.zeros(rows.stop - rows.start, dtype=np.bool_)
     return board.recordings[column][rows] == State.LOST

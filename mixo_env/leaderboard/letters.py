@@ -36,6 +36,6 @@ def letters(rows: Sequence[str], differ: Collection[tuple[str, str]]) -> dict[st
 
 
 def _letter(index: int) -> str:
-    """a to z, A to Z, then a2 ..."""
+    """Lower case, then upper case, then a2 ..."""
     turn, place = divmod(index, len(ALPHABET))
     return ALPHABET[place] + (str(turn + 1) if turn else "")

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TypeVar
 
 import numpy as np
@@ -88,9 +89,17 @@ def resampled_means(sums: FloatArray, counts: FloatArray, resamples: int, seed: 
     """
     if len(sums) < 2:
         return np.empty((0, *sums.shape[1:]))
-    rng = np.random.default_rng(seed)
-    drawn = rng.multinomial(len(sums), np.full(len(sums), 1.0 / len(sums)), size=resamples)
+    drawn = _drawn(len(sums), resamples, seed)
     return ((drawn @ sums).T / (drawn @ counts)).T
+
+
+@lru_cache(maxsize=4)
+def _drawn(groups: int, resamples: int, seed: int) -> FloatArray:
+    """``(resamples, groups)`` how often each group was drawn. Read only: every method of a table shares them."""
+    drawn = np.random.default_rng(seed).multinomial(groups, np.full(groups, 1.0 / groups), size=resamples)
+    shared = drawn.astype(np.float64)
+    shared.flags.writeable = False
+    return shared
 
 
 def _interval(sums: FloatArray, means: FloatArray, counts: FloatArray, confidence: float) -> Interval:
