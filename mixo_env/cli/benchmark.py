@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 if TYPE_CHECKING:
     from mixo_env.leaderboard.board import Leaderboard
+    from mixo_env.recordings.collection import Recordings
 
 
 @dataclass(frozen=True)
@@ -56,17 +57,18 @@ class Benchmark:
 
         from mixo_env.cli.results import point_latest, run_folder
         from mixo_env.files import write_json, write_text
-        from mixo_env.leaderboard.board import build
+        from mixo_env.leaderboard.board import build, requested
         from mixo_env.leaderboard.conditions import check_grouping
         from mixo_env.leaderboard.exports import to_csv, to_json
         from mixo_env.leaderboard.figures import draw_trajectories
         from mixo_env.leaderboard.report import print_leaderboard, to_markdown
         from mixo_env.recordings.store import load_recordings
 
-        folder = run_folder("benchmark", self.out)
         recordings = load_recordings(None if self.recordings is None else str(self.recordings))
+        requested(recordings, self.tracks, self.policies)
         for by in self.by:
             check_grouping(recordings, by)
+        folder = run_folder("benchmark", self.out)
         with Console(stderr=True).status("") as status:
             board = build(
                 recordings,
@@ -77,7 +79,7 @@ class Benchmark:
                 ground_truth=self.ground_truth,
                 progress=status.update,
             )
-        write_json(folder / "configuration.json", self._resolved(board))
+        write_json(folder / "configuration.json", self._resolved(board, recordings))
         write_text(folder / "leaderboard.md", to_markdown(board, sort=self.sort, by=self.by))
         write_json(folder / "leaderboard.json", to_json(board))
         write_text(folder / "scenes.csv", to_csv(board))
@@ -87,12 +89,13 @@ class Benchmark:
         print(f"Saved in {folder}: leaderboard.md, leaderboard.json, scenes.csv, trajectories.png, configuration.json")
         return 0
 
-    def _resolved(self, board: Leaderboard) -> dict[str, Any]:
+    def _resolved(self, board: Leaderboard, recordings: Recordings) -> dict[str, Any]:
         """Everything that made the numbers."""
         from importlib.metadata import version
 
         from mixo_env.recordings.store import DEFAULT_RECORDINGS
 
+        scored = {scene.name for scene in board.recordings.scenes}
         packages = ("mixo-env", "numpy", "torch", "stable-baselines3", "gymnasium")
         return {
             "command": "benchmark",
@@ -105,6 +108,6 @@ class Benchmark:
             "by": list(self.by),
             "sort": self.sort,
             "data_version": board.recordings.manifest.data_version,
-            "scenes": {scene.name: scene.values_hash for scene in board.recordings.scenes},
+            "scenes": {scene.name: scene.values_hash for scene in recordings.scenes if scene.name in scored},
             "software": {package: version(package) for package in packages},
         }

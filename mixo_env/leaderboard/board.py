@@ -123,11 +123,7 @@ def build(
         ConfigurationError: for an unknown track or policy.
         PolicyError: when a policy asked for by name does not fit the recordings.
     """
-    for track in tracks:
-        if track not in TRACKS:
-            raise ConfigurationError(unknown("track", track, TRACKS))
-    valid = (*policy_names(recordings), *FLOORS)
-    chosen, everything = choose(policies, valid), not policies
+    chosen, everything = requested(recordings, tracks, policies), not policies
     protocol = CrossValidation(recordings, seed=seed, seeds=seeds, ground_truth=ground_truth)
     day = Builder(protocol, progress, everything)
     night = None
@@ -138,6 +134,18 @@ def build(
         slow = [name for name in chosen if name not in ONE_FOLD]
         night = Builder(outside, lambda text: progress(f"night, {text}"), everything).board(tracks or TRACKS, slow)
     return day.board(tracks or TRACKS, chosen, night)
+
+
+def requested(recordings: Recordings, tracks: Sequence[str], policies: Sequence[str]) -> tuple[str, ...]:
+    """Names of the rows that :func:`build` will run.
+
+    Raises:
+        ConfigurationError: for an unknown track or policy.
+    """
+    for track in tracks:
+        if track not in TRACKS:
+            raise ConfigurationError(unknown("track", track, TRACKS))
+    return choose(policies, (*policy_names(recordings), *FLOORS))
 
 
 def choose(asked: Sequence[str], valid: Sequence[str]) -> tuple[str, ...]:

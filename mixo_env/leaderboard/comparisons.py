@@ -110,7 +110,9 @@ def compare_rows(
     rows = list(errors)
     drives, of_sample = np.unique(logs, return_inverse=True)
     counts = np.bincount(of_sample, minlength=len(drives)).astype(np.float64)
-    sums = {row: np.bincount(of_sample, weights=errors[row], minlength=len(drives)) for row in rows}
+    sums: dict[str, FloatArray] = {
+        row: np.bincount(of_sample, weights=errors[row], minlength=len(drives)).astype(np.float64) for row in rows
+    }
     if not len(drives):
         return Comparisons(0, (), (), dict.fromkeys(rows, ""))
     confirmatory = [pair for pair in CONFIRMATORY if set(pair) <= set(rows)]

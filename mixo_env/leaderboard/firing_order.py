@@ -102,7 +102,7 @@ def weights_of_one(errors: FloatArray) -> FloatArray:
     """
     last = errors[:, -1]
     first = np.linalg.lstsq(errors[:, :-1] - last[:, None], -last, rcond=None)[0]
-    return np.append(first, 1.0 - first.sum())
+    return np.append(first, 1.0 - first.sum()).astype(np.float64)
 
 
 def best_shares(errors: FloatArray, steps: NDArray[np.bool_]) -> FloatArray:

@@ -19,10 +19,10 @@ TRUTH_NAMES = {
 
 LEGEND = (
     "Lower is better. RTE: pooled relative error, with its 95 % interval; letters: rows that cannot be told apart "
-    "share one; - LINEAR, - MIXO: paired difference in RTE deg/m and its Holm-corrected p; ATE: mean over scenes; lost: "
-    "tracks lost per scene, mean ± standard deviation (a fused method loses track when no camera tracks; -: no track to "
-    "lose); yaw: RMSE of one step's increment; > 0.5 m: share of scenes with a larger ATE. † reads ground truth; * has "
-    "no vote in this track."
+    "share one; - LINEAR, - MIXO: paired difference in RTE deg/m and its Holm-corrected p; ATE: mean over scenes; "
+    "lost: tracks lost per scene, mean ± standard deviation (a fused method loses track when no camera tracks; -: no "
+    "track to lose); yaw: RMSE of one step's increment; > 0.5 m: share of scenes with a larger ATE. † reads ground "
+    "truth; * has no vote in this track."
 )
 
 
@@ -141,7 +141,7 @@ def _confirmed(found: Comparison) -> str:
     reach, strict = (end / found.second_error for end in (found.detectable, found.detectable_holm))
     return (
         f"{found.first} - {found.second} {percent(found.share)} [{percent(low)}, {percent(high)}], "
-        f"p {p_text(found.p_value)} (Holm {p_text(found.p_holm)}), detectable {100 * reach:.1f} % ({100 * strict:.1f} %)"
+        f"p {p_text(found.p_value)} ({p_text(found.p_holm)}), detectable {100 * reach:.1f} % ({100 * strict:.1f} %)"
     )
 
 
