@@ -40,7 +40,13 @@ def check(policy: Policy, recordings: Recordings, track: str) -> None:
         PolicyError: unless it weights exactly these voters in this order; when it holds anything learned and does not
             say on which drives; when one of them is among ``recordings``.
     """
-    expected = policy.weighted(recordings.voters(track))
+    voters = recordings.voters(track)
+    expected = policy.weighted(voters)
+    if expected not in (voters, (*voters, policy.name)):
+        raise PolicyError(
+            f"{policy.name} would weight {', '.join(expected)} in track {track}, where {', '.join(voters)} vote: only "
+            "a single expert may be shown without a vote, under its own name"
+        )
     if policy.experts != expected:
         raise PolicyError(
             f"{policy.name} was fitted for {', '.join(policy.experts) or 'nothing yet'}, but track {track} of these "
