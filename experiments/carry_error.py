@@ -9,7 +9,6 @@ the current rate has to stand in for the one before. At every image and from key
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
@@ -17,10 +16,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mixo_env.errors import MixoError, RecordingError
+from mixo_env.errors import RecordingError
 from mixo_env.recordings.carry import OwnWindows, carry, own_windows
 from mixo_env.recordings.collection import Recordings
-from mixo_env.recordings.store import load_recordings
 from mixo_env.recordings.truth import exact_own_window_increments
 from mixo_env.tables import Table
 

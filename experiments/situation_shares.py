@@ -100,7 +100,7 @@ def choose(is_staged: Mapping[str, bool], factors: Sequence[float], draws: int, 
 
 def table_scores(table: Table) -> dict[str, dict[str, float]]:
     """Score -> unprivileged row -> value."""
-    rows = {row.run.name: row.scores["truth"] for row in table.rows if not row.run.privileged}
+    rows = {row.name: row.headline for row in table.rows if not row.run.privileged}
     return {
         "translation_percent": {name: score.translation_percent.mean for name, score in rows.items()},
         "rotation_deg_per_m": {name: score.rotation_deg_per_m.mean for name, score in rows.items()},

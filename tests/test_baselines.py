@@ -12,6 +12,7 @@ import pytest
 from mixo_env.envs.replay import Replay
 from mixo_env.errors import ConfigurationError, PolicyError
 from mixo_env.policies import registry
+from mixo_env.policies.fitting import check, prepare
 from mixo_env.policies.gate import Mixo
 from mixo_env.policies.playing import play
 from mixo_env.policies.policy import Policy
@@ -40,7 +41,7 @@ SHORT = {Mixo.name: {"epochs": 1, "min_updates": 30}, PPO.name: {"steps": 1024, 
 
 def fitted(name: str, training: Recordings, seed: int = 0) -> Policy:
     policy = registry.POLICIES[name](**SHORT[name]) if name in SHORT else registry.create(name, training)
-    policy.fit(training, TRACK, seed=seed)
+    prepare(policy, training, TRACK, seed=seed)
     return policy
 
 
@@ -68,7 +69,7 @@ def test_experts_are_the_voters_and_at_most_the_single_one_besides(policy: Polic
     voters = unseen.voters(TRACK)
     assert policy.experts[: len(voters)] == voters
     assert policy.experts[len(voters) :] == ((policy.name,) if policy.name not in (*voters, *registry.POLICIES) else ())
-    policy.check(unseen, TRACK)
+    check(policy, unseen, TRACK)
 
 
 def test_same_seed_same_weights(policy: Policy, training: Recordings, unseen: Recordings) -> None:
@@ -117,7 +118,7 @@ def test_only_learners_change_with_the_training_scenes(policy: Policy, unseen: R
 
 def test_policy_refuses_other_voters(policy: Policy, unseen: Recordings) -> None:
     with pytest.raises(PolicyError, match=r"was fitted for .* in this order"):
-        policy.check(unseen, "PAPER")
+        check(policy, unseen, "PAPER")
 
 
 def test_weights_saved_for_another_order_of_experts_are_refused(
@@ -129,12 +130,12 @@ def test_weights_saved_for_another_order_of_experts_are_refused(
     finally:
         policy.experts = policy.experts[::-1]
     with pytest.raises(PolicyError, match=r"was fitted for .* in this order"):
-        registry.load(tmp_path).check(unseen, TRACK)
+        check(registry.load(tmp_path), unseen, TRACK)
 
 
 def test_unfitted_policy_is_refused(unseen: Recordings) -> None:
     with pytest.raises(PolicyError, match="nothing yet"):
-        Single("CAM_FRONT").check(unseen, TRACK)
+        check(Single("CAM_FRONT"), unseen, TRACK)
 
 
 def test_unknown_name_suggests_the_nearest(training: Recordings) -> None:

@@ -10,6 +10,7 @@ import pytest
 from mixo_env.envs.observation import RICH
 from mixo_env.envs.replay import Replay
 from mixo_env.leaderboard.evaluation import rollout
+from mixo_env.policies.fitting import drives, prepare
 from mixo_env.policies.gate import Mixo
 from mixo_env.policies.linear import Linear
 from mixo_env.policies.policy import Policy
@@ -46,21 +47,23 @@ def test_gate_uses_the_match_counts(noisy: Recordings) -> None:
     training, test = noisy.select(split="train"), noisy.select(split="test")
     gate, linear, median = Mixo(), Linear(), Median()
     for policy in (gate, linear, median):
-        policy.fit(training, "VISION", seed=0)
+        prepare(policy, training, "VISION", seed=0)
     error = {policy.name: yaw_rmse_deg(policy, test, "VISION") for policy in (gate, linear, median)}
     assert error["MIXO"] < error["LINEAR"] < error["MEDIAN"]
 
 
 def test_gate_finds_the_exact_expert(one_is_right: Recordings) -> None:
     gate = Mixo(min_updates=150)
-    gate.fit(one_is_right, "CONSUMER", seed=0)
-    assert yaw_rmse_deg(gate, one_is_right, "CONSUMER") < 0.03
+    prepare(gate, one_is_right.select(split="train"), "CONSUMER")
+    assert yaw_rmse_deg(gate, one_is_right.select(split="test"), "CONSUMER") < 0.03
 
 
 def test_reinforcement_finds_the_exact_expert(one_is_right: Recordings) -> None:
     agent = PPO(steps=12_288, environments=32, rollout=32, batch=256)
-    agent.fit(one_is_right, "CONSUMER", seed=0)
-    assert yaw_rmse_deg(agent, one_is_right, "CONSUMER") < 0.1
+    training = one_is_right.select(split="train")
+    agent.fit(training, "CONSUMER", seed=0)  # with the scale of the reward given above: LINEAR has no error here
+    agent.fitted_on = drives(training)
+    assert yaw_rmse_deg(agent, one_is_right.select(split="test"), "CONSUMER") < 0.1
 
 
 def test_kept_matrices_act_as_the_trained_model() -> None:

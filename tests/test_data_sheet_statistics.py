@@ -25,7 +25,6 @@ from docs._pages.data_sheet.motion import (
 )
 from docs._pages.data_sheet.movers import in_sight, mover_mask, outline
 from docs._pages.data_sheet.outcomes import (
-    best_shares,
     camera_lost_tracks,
     exact_step_errors,
     moving_steps,
@@ -37,6 +36,7 @@ from docs._pages.data_sheet.sensors import production_gyro_statistics, sensor_st
 from experiments import stored_figures as stored
 from mixo_env.errors import ConfigurationError, DatasetError
 from mixo_env.geometry import quaternion_wxyz_from_yaw
+from mixo_env.leaderboard.firing_order import best_shares
 from mixo_env.nuscenes.scene import CameraCalibration
 from mixo_env.simulator.render import CameraPose
 from mixo_env.simulator.streets import BLOCK_M

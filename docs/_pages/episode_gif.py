@@ -66,13 +66,14 @@ class EpisodeGif:
         return 0
 
     def _frames(self, env: Any) -> list[np.ndarray]:
+        from mixo_env.policies.fitting import prepare
         from mixo_env.policies.registry import create
         from mixo_env.recordings.store import load_recordings
 
         recordings = load_recordings(self.recordings)
         settings = env.unwrapped.session.settings
         policy = create(self.policy, recordings)
-        policy.fit(recordings.select(split="train"), settings.track)
+        prepare(policy, recordings.select(split="train"), settings.track)
         policy.reset(1)
         observation, _ = env.reset(seed=0, options={"scene": self.scene})
         frames, truncated, step = [], False, 0

@@ -28,8 +28,9 @@ from mixo_env.experts.inertial import (
     grade_inputs,
 )
 from mixo_env.files import write_text
-from mixo_env.leaderboard.board import Score, build
-from mixo_env.leaderboard.report import conventions
+from mixo_env.leaderboard.board import build
+from mixo_env.leaderboard.rows import Score
+from mixo_env.leaderboard.sentences import conventions
 from mixo_env.nuscenes.can_bus import read_can_bus
 from mixo_env.nuscenes.scene import CanBus, FloatArray, Signal
 from mixo_env.recordings.collection import Recordings

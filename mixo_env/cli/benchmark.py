@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar, Literal
 
 if TYPE_CHECKING:
     from mixo_env.leaderboard.board import Leaderboard
+    from mixo_env.recordings.collection import Recordings
 
 
 @dataclass(frozen=True)
@@ -18,7 +19,9 @@ class Benchmark:
 
       mixo benchmark                                    everything on the bundled recordings
       mixo benchmark --recordings recorded              on your own, from `mixo record`
-      mixo benchmark --tracks CONSUMER --policies LINEAR MIXO highest-match
+      mixo benchmark --tracks CONSUMER --policies LINEAR MIXO highest-match --sort deg/m
+      mixo benchmark --by condition situation           also by day, rain, night, and by what was staged
+      mixo benchmark --ground-truth keyframes           the paper's clock: one step from key frame to key frame
     """
 
     interrupted: ClassVar[str] = "nothing was written: a table is computed in one go"
@@ -35,6 +38,18 @@ class Benchmark:
     seed: int = 0
     """Of everything random: same seed, same machine, same numbers."""
 
+    seeds: int = 1
+    """Fits of every learned policy; its row is the mean of their errors, never the best."""
+
+    ground_truth: Literal["poses", "keyframes"] = "poses"
+    """A step from image to image, or between key frames (2 Hz) as in the paper."""
+
+    by: tuple[Literal["condition", "situation"], ...] = ()
+    """Show tables by condition or by staged situation as well (leaderboard.json always holds them)."""
+
+    sort: Literal["table", "deg/m", "%", "ate-m", "ate-deg", "yaw", "written"] = "table"
+    """Order of the rows within each section."""
+
     out: Path | None = None
     """Folder for the results. None: results/benchmark-<date>-<time>, and results/latest points there."""
 
@@ -44,33 +59,45 @@ class Benchmark:
 
         from mixo_env.cli.results import point_latest, run_folder
         from mixo_env.files import write_json, write_text
-        from mixo_env.leaderboard.board import build
+        from mixo_env.leaderboard.board import build, requested
+        from mixo_env.leaderboard.conditions import check_grouping
+        from mixo_env.leaderboard.exports import to_csv, to_json
         from mixo_env.leaderboard.figures import draw_trajectories
-        from mixo_env.leaderboard.report import print_leaderboard, to_csv, to_json, to_markdown
+        from mixo_env.leaderboard.report import print_leaderboard, to_markdown
         from mixo_env.recordings.store import load_recordings
 
-        folder = run_folder("benchmark", self.out)
         recordings = load_recordings(None if self.recordings is None else str(self.recordings))
+        requested(recordings, self.tracks, self.policies)
+        for by in self.by:
+            check_grouping(recordings, by)
+        folder = run_folder("benchmark", self.out)
         with Console(stderr=True).status("") as status:
             board = build(
-                recordings, tracks=self.tracks, policies=self.policies, seed=self.seed, progress=status.update
+                recordings,
+                tracks=self.tracks,
+                policies=self.policies,
+                seed=self.seed,
+                seeds=self.seeds,
+                ground_truth=self.ground_truth,
+                progress=status.update,
             )
-        write_json(folder / "configuration.json", self._resolved(board))
-        write_text(folder / "leaderboard.md", to_markdown(board))
+        write_json(folder / "configuration.json", self._resolved(board, recordings))
+        write_text(folder / "leaderboard.md", to_markdown(board, sort=self.sort, by=self.by))
         write_json(folder / "leaderboard.json", to_json(board))
         write_text(folder / "scenes.csv", to_csv(board))
         draw_trajectories(board, folder / "trajectories.png")
         point_latest(folder)
-        print_leaderboard(board)
+        print_leaderboard(board, sort=self.sort, by=self.by)
         print(f"Saved in {folder}: leaderboard.md, leaderboard.json, scenes.csv, trajectories.png, configuration.json")
         return 0
 
-    def _resolved(self, board: Leaderboard) -> dict[str, Any]:
+    def _resolved(self, board: Leaderboard, recordings: Recordings) -> dict[str, Any]:
         """Everything that made the numbers."""
         from importlib.metadata import version
 
         from mixo_env.recordings.store import DEFAULT_RECORDINGS
 
+        scored = {scene.name for scene in board.recordings.scenes}
         packages = ("mixo-env", "numpy", "torch", "stable-baselines3", "gymnasium")
         return {
             "command": "benchmark",
@@ -78,7 +105,11 @@ class Benchmark:
             "tracks": [table.track for table in board.tables],
             "policies": list(board.policies),
             "seed": self.seed,
+            "seeds": self.seeds,
+            "ground_truth": self.ground_truth,
+            "by": list(self.by),
+            "sort": self.sort,
             "data_version": board.recordings.manifest.data_version,
-            "scenes": {scene.name: scene.values_hash for scene in board.recordings.scenes},
+            "scenes": {scene.name: scene.values_hash for scene in recordings.scenes if scene.name in scored},
             "software": {package: version(package) for package in packages},
         }

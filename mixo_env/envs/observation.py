@@ -85,7 +85,7 @@ class Layout:
 
     def split(self, flat: NDArray[np.float32]) -> dict[str, NDArray[np.float32]]:
         """``(..., width)`` -> name -> ``(..., width of the quantity)``, as arrays of their own."""
-        return {name: np.ascontiguousarray(flat[..., columns]) for name, columns in self.slices.items()}
+        return {name: flat[..., columns].copy() for name, columns in self.slices.items()}
 
     def box(self) -> spaces.Box:
         """Space of the flat observation."""

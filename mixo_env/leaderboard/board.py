@@ -2,23 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from mixo_env.errors import ConfigurationError, PolicyError, unknown
-from mixo_env.leaderboard.crossvalidation import CrossValidation, Run
-from mixo_env.leaderboard.evaluation import FLOORS, Course, Errors, lost_tracks
-from mixo_env.metrics.aggregate import share_above
-from mixo_env.metrics.bootstrap import Interval, interval_over_groups
-from mixo_env.metrics.tracks import LostTracks
+from mixo_env.leaderboard.comparisons import Comparisons
+from mixo_env.leaderboard.conditions import Group, groups_of
+from mixo_env.leaderboard.crossvalidation import CrossValidation, GroundTruth, Run
+from mixo_env.leaderboard.evaluation import FLOORS, Course, noisy_truth
+from mixo_env.leaderboard.noise import NOISE_FLOOR
+from mixo_env.leaderboard.rows import Row, Scorer
 from mixo_env.policies.linear import Linear
 from mixo_env.policies.registry import names as policy_names
 from mixo_env.recordings.collection import Recordings
+from mixo_env.recordings.folds import OUT_OF_DISTRIBUTION
 from mixo_env.recordings.schema import TRACKS
-from mixo_env.recordings.variants import as_variant, variants
 
 ONE_FOLD = ("PPO",)
 """Policies too slow to train for every fold: they are tested on the last one only, and compared there."""
@@ -28,68 +28,27 @@ RANKING_LOGS = 10
 
 
 @dataclass(frozen=True)
-class Score:
-    """What a table prints about one row, against one truth.
-
-    Attributes:
-        translation_percent, rotation_deg_per_m: pooled RTE with its interval over logs.
-        samples, sampled_scenes: the RTE rests on; standing scenes contribute none.
-        scenes: tested.
-        ate_m, ate_deg: mean over the scenes of their RMSE.
-        yaw_increment_rmse_deg: over all steps.
-        high_ate_share: share of scenes above 0.5 m.
-    """
-
-    translation_percent: Interval
-    rotation_deg_per_m: Interval
-    samples: int
-    sampled_scenes: int
-    scenes: int
-    ate_m: float
-    ate_deg: float
-    yaw_increment_rmse_deg: float
-    high_ate_share: float
-
-
-@dataclass(frozen=True)
-class Row:
-    """One policy in one track, scored against every recorded truth.
-
-    Attributes:
-        run: how it drove.
-        errors: per truth, all scenes.
-        scores: per truth, on the tested scenes.
-        lost: of all scenes; ``None`` where there is no track to lose.
-        lost_instantly: the same if cameras tracked again with the first good pair of images.
-        fused: several experts may take part (not one alone).
-        votes: false for an expert that has no vote in this track and is shown for reference.
-    """
-
-    run: Run
-    errors: dict[str, Errors]
-    scores: dict[str, Score]
-    lost: LostTracks | None
-    lost_instantly: LostTracks | None
-    fused: bool
-    votes: bool
-
-
-@dataclass(frozen=True)
 class Table:
     """One track.
 
     Attributes:
         track: its name.
         rows: tested on every scene, in the order of the registry, floors last.
+        comparisons: of these rows, paired.
         one_fold: the fold on which ``ONE_FOLD`` policies were tested; ``None`` when there is none.
         one_fold_rows: those policies and all other learned ones, scored on that fold alone.
+        one_fold_comparisons: of those, paired.
+        groups: the rows by condition and by situation.
         left_out: policies that do not fit these recordings -> why.
     """
 
     track: str
     rows: tuple[Row, ...]
+    comparisons: Comparisons
     one_fold: int | None
     one_fold_rows: tuple[Row, ...]
+    one_fold_comparisons: Comparisons
+    groups: tuple[Group, ...]
     left_out: dict[str, str]
 
     def linear_weights(self) -> dict[int, dict[str, float]]:
@@ -110,18 +69,28 @@ class Leaderboard:
         tables: one per track.
         policies: names of the rows that were asked for.
         protocol: recordings, folds and seed.
-        courses: the truths the scores refer to, ``"truth"`` first.
+        courses: the truths the scores refer to, the headline's first.
+        noise_floor: headline error [deg/m] that the truth's own noise makes; 0 for exact truth.
+        night: the same for the scenes that are in no fold, by policies that learned from all folds; ``None`` without
+            such scenes.
     """
 
     tables: tuple[Table, ...]
     policies: tuple[str, ...]
     protocol: CrossValidation
-    courses: dict[str, Course]
+    courses: Mapping[str, Course]
+    noise_floor: float
+    night: Leaderboard | None = None
 
     @property
     def recordings(self) -> Recordings:
         """The scenes that were scored."""
         return self.protocol.recordings
+
+    @property
+    def headline(self) -> str:
+        """The truth of the headline."""
+        return next(iter(self.courses))
 
     @property
     def logs(self) -> int:
@@ -135,6 +104,8 @@ def build(
     tracks: Sequence[str] = (),
     policies: Sequence[str] = (),
     seed: int = 0,
+    seeds: int = 1,
+    ground_truth: GroundTruth = "poses",
     progress: Callable[[str], None] = lambda _: None,
 ) -> Leaderboard:
     """Run and score policies on every track.
@@ -144,35 +115,37 @@ def build(
         tracks: to run; empty: all.
         policies: names of policies and floors, however they are spelt (case, hyphens); empty: all.
         seed: of every learned policy and of the bootstrap.
+        seeds: of every learned policy; its row is the mean of their errors.
+        ground_truth: a step from image to image, or from key frame to key frame as in the paper.
         progress: told what is about to run.
 
     Raises:
         ConfigurationError: for an unknown track or policy.
         PolicyError: when a policy asked for by name does not fit the recordings.
     """
+    chosen, everything = requested(recordings, tracks, policies), not policies
+    protocol = CrossValidation(recordings, seed=seed, seeds=seeds, ground_truth=ground_truth)
+    day = Builder(protocol, progress, everything)
+    night = None
+    if protocol.folds and any(scene.fold == OUT_OF_DISTRIBUTION for scene in recordings.scenes):
+        outside = CrossValidation(
+            recordings, seed=seed, seeds=seeds, ground_truth=ground_truth, out_of_distribution=True
+        )
+        slow = [name for name in chosen if name not in ONE_FOLD]
+        night = Builder(outside, lambda text: progress(f"night, {text}"), everything).board(tracks or TRACKS, slow)
+    return day.board(tracks or TRACKS, chosen, night)
+
+
+def requested(recordings: Recordings, tracks: Sequence[str], policies: Sequence[str]) -> tuple[str, ...]:
+    """Names of the rows that :func:`build` will run.
+
+    Raises:
+        ConfigurationError: for an unknown track or policy.
+    """
     for track in tracks:
         if track not in TRACKS:
             raise ConfigurationError(unknown("track", track, TRACKS))
-    protocol = CrossValidation(recordings, seed=seed)
-    chosen = choose(policies, (*policy_names(protocol.recordings), *FLOORS))
-    exact = bool(np.isfinite(protocol.recordings["exact.x_m"]).all())
-    courses = {truth: Course(protocol.recordings, truth) for truth in (("truth", "exact") if exact else ("truth",))}
-    scorer = Scorer(protocol.recordings, courses, seed)
-    tables = []
-    for track in tracks or TRACKS:
-        runs: list[Run] = []
-        left_out: dict[str, str] = {}
-        for name in chosen:
-            progress(f"{track}: {name}")
-            folds = protocol.folds[-1:] if name in ONE_FOLD else None
-            try:
-                runs.append(protocol.run(name, track, folds=folds))
-            except PolicyError as error:
-                if policies:
-                    raise
-                left_out[name] = str(error)
-        tables.append(scorer.table(track, runs, left_out, protocol.folds))
-    return Leaderboard(tuple(tables), chosen, protocol, courses)
+    return choose(policies, (*policy_names(recordings), *FLOORS))
 
 
 def choose(asked: Sequence[str], valid: Sequence[str]) -> tuple[str, ...]:
@@ -195,61 +168,65 @@ def choose(asked: Sequence[str], valid: Sequence[str]) -> tuple[str, ...]:
     return tuple(name for name in valid if name in wanted)
 
 
-class Scorer:
-    """Scores runs on the same scenes against the same truths."""
+class Builder:
+    """Builds the tables of one protocol.
 
-    def __init__(self, recordings: Recordings, courses: dict[str, Course], seed: int) -> None:
-        """Remember what every row shares."""
-        self._recordings = recordings
-        self._courses = courses
-        self._seed = seed
-        self._logs = np.unique([scene.log for scene in recordings.scenes], return_inverse=True)[1]
-        self._folds = np.array([scene.fold for scene in recordings.scenes])
+    Args:
+        protocol: scenes, folds, seeds.
+        progress: told what is about to run.
+        lenient: leave out a policy that does not fit the recordings instead of raising.
+    """
 
-    def table(self, track: str, runs: Sequence[Run], left_out: dict[str, str], folds: Sequence[int]) -> Table:
+    def __init__(self, protocol: CrossValidation, progress: Callable[[str], None], lenient: bool) -> None:
+        """Lay out the courses."""
+        self._protocol, self._progress, self._lenient = protocol, progress, lenient
+        self._courses = {truth: Course(protocol.recordings, truth) for truth in protocol.truths}
+        headline = protocol.truths[0]
+        self._floor = 0.0
+        if headline != "exact":
+            noisy = self._courses[headline].measure(noisy_truth(protocol.recordings))
+            samples = noisy.relative.rotation_deg_per_m
+            self._floor = float(samples.mean()) if len(samples) else 0.0
+        self._scorer = Scorer(protocol.recordings, self._courses, self._floor, protocol.seed)
+
+    def board(
+        self, tracks: Sequence[str] | Mapping[str, object], chosen: Sequence[str], night: Leaderboard | None = None
+    ) -> Leaderboard:
+        """A table for every track."""
+        shown = tuple(name for name in chosen if name != NOISE_FLOOR or self._protocol.truths[0] != "exact")
+        tables = tuple(self._table(track, shown) for track in tracks)
+        return Leaderboard(tables, shown, self._protocol, self._courses, self._floor, night)
+
+    def _table(self, track: str, chosen: Sequence[str]) -> Table:
         """Rows tested everywhere, and apart from them those tested on one fold, beside the other learned ones."""
-        rows = [self.row(track, run) for run in runs]
-        partial = any(not run.tested.all() for run in runs)
-        one_fold = folds[-1] if partial else None
+        runs: list[Run] = []
+        left_out: dict[str, str] = {}
+        for name in chosen:
+            self._progress(f"{track}: {name}")
+            folds = self._protocol.folds[-1:] if name in ONE_FOLD else None
+            try:
+                runs.append(self._protocol.run(name, track, folds=folds))
+            except PolicyError as error:
+                if not self._lenient:
+                    raise
+                left_out[name] = str(error)
+        rows = [self._scorer.row(track, run) for run in runs]
+        whole = tuple(row for row in rows if row.run.tested.all())
+        one_fold, part = None, ()
+        if len(whole) < len(rows):
+            one_fold = self._protocol.folds[-1]
+            scenes = np.array([scene.fold == one_fold for scene in self._protocol.recordings.scenes])
+            part = tuple(self._scorer.restrict(row, scenes) for row in rows if row.run.learns)
+        recordings = self._protocol.recordings
         return Table(
             track=track,
-            rows=tuple(row for row in rows if row.run.tested.all()),
+            rows=whole,
+            comparisons=self._scorer.compare(whole),
             one_fold=one_fold,
-            one_fold_rows=tuple(self.restrict(row, self._folds == one_fold) for row in rows if row.run.learns)
-            if partial
-            else (),
+            one_fold_rows=part,
+            one_fold_comparisons=self._scorer.compare(part),
+            groups=tuple(
+                group for by in ("condition", "situation") for group in groups_of(whole, recordings, by, self._scorer)
+            ),
             left_out=left_out,
-        )
-
-    def row(self, track: str, run: Run) -> Row:
-        """Measure a run against every truth."""
-        errors = {truth: course.measure(run.motion) for truth, course in self._courses.items()}
-        scores = {truth: self.score(measured, run.tested) for truth, measured in errors.items()}
-        recordings, alone = as_variant(self._recordings, run.name), variants(self._recordings).get(run.name, run.name)
-        lost, instantly = (lost_tracks(recordings, alone, instantly=instantly) for instantly in (False, True))
-        fused = alone not in recordings.experts
-        votes = fused or run.name in recordings.voters(track)
-        return Row(run, errors, scores, lost, instantly, fused, votes)
-
-    def restrict(self, row: Row, scenes: NDArray[np.bool_]) -> Row:
-        """The same row scored on some scenes only."""
-        scores = {truth: self.score(errors, scenes) for truth, errors in row.errors.items()}
-        return replace(row, run=replace(row.run, tested=scenes), scores=scores)
-
-    def score(self, errors: Errors, scenes: NDArray[np.bool_]) -> Score:
-        """Statistics of the errors on ``scenes`` ``(scenes,)``."""
-        relative, absolute = errors.relative, errors.absolute
-        here = scenes[relative.scene]
-        logs = self._logs[relative.scene[here]]
-        squared, steps = errors.squared_yaw_increment_deg2[scenes].sum(), errors.steps[scenes].sum()
-        return Score(
-            translation_percent=interval_over_groups(relative.translation_percent[here], logs, seed=self._seed),
-            rotation_deg_per_m=interval_over_groups(relative.rotation_deg_per_m[here], logs, seed=self._seed),
-            samples=int(here.sum()),
-            sampled_scenes=len(np.unique(relative.scene[here])),
-            scenes=int(scenes.sum()),
-            ate_m=float(absolute.translation_m[scenes].mean()),
-            ate_deg=float(absolute.rotation_deg[scenes].mean()),
-            yaw_increment_rmse_deg=float(np.sqrt(squared / steps)),
-            high_ate_share=share_above(absolute.translation_m[scenes]),
         )

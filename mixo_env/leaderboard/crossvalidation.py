@@ -2,20 +2,29 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mixo_env.errors import PolicyError
+from mixo_env.errors import ConfigurationError, PolicyError
 from mixo_env.leaderboard.evaluation import FLOORS, Motion, rollout, with_wheels
+from mixo_env.policies.fitting import drives, prepare
 from mixo_env.policies.policy import Policy
 from mixo_env.policies.registry import create
 from mixo_env.recordings.collection import Recordings
+from mixo_env.recordings.drives import drive_hash
+from mixo_env.recordings.folds import OUT_OF_DISTRIBUTION
+from mixo_env.recordings.keyframes import at_keyframes
 from mixo_env.recordings.store import load_recordings
+from mixo_env.recordings.truths import truths_of, with_truth
 from mixo_env.recordings.variants import as_variant
-from mixo_env.recordings.vehicles import with_held_out_constants
+from mixo_env.recordings.vehicles import with_held_out_constants, with_training_constants
+
+GroundTruth = Literal["poses", "keyframes"]
+"""One step from image to image, or from key frame to key frame (2 Hz) as in the paper."""
 
 UNFOLDED = -1
 """Stands for the held-out fold where none is held out."""
@@ -29,55 +38,91 @@ class Run:
         name: of the policy or floor.
         privileged: it reads ground truth.
         learns: it was fitted on training scenes.
-        motion: over all scenes; without any turn in those not tested.
+        motions: truth -> motions over all scenes, one a seed; without any turn in scenes not tested. A privileged row
+            chooses by the truth that scores it, others move the same whatever the truth.
         tested: ``(scenes,)``.
-        policies: the fitted policy for every fold it was tested on; empty for floors.
+        policies: the fitted policy of the first seed for every fold it was tested on; empty for floors.
     """
 
     name: str
     privileged: bool
     learns: bool
-    motion: Motion
+    motions: Mapping[str, tuple[Motion, ...]]
     tested: NDArray[np.bool_]
     policies: dict[int, Policy]
+
+    @property
+    def motion(self) -> Motion:
+        """That of the first seed, as the headline's truth has it."""
+        return next(iter(self.motions.values()))[0]
 
 
 class CrossValidation:
     """How the scenes of a recording are divided into training and test.
 
-    Scenes outside every fold (night) are left out. With fewer than two folds there is nothing to train on that is not
-    tested as well: learned policies then come from the bundled recordings, and wheel scale and course offset of the
-    vehicles stay nominal.
+    Scenes outside every fold (night) are left out, or are the only ones tested, by policies that learned from all folds
+    (``out_of_distribution``). With fewer than two folds there is nothing to train on that is not tested as well:
+    learned policies then come from the bundled recordings, and wheel scale and course offset of the vehicles stay
+    nominal.
 
     Attributes:
         recordings: the scenes that are scored, with vehicle constants fitted on the folds that hold none of them.
         folds: those present.
-        left_out: number of scenes in no fold.
+        left_out: number of scenes that are not scored.
         foreign: learned policies are fitted on the bundled recordings.
+        truths: those of the recordings, the headline first.
+        ground_truth: the clock.
+        seeds: of every learned policy.
     """
 
     def __init__(
-        self, recordings: Recordings, *, seed: int = 0, bundled: Callable[[], Recordings] = load_recordings
+        self,
+        recordings: Recordings,
+        *,
+        seed: int = 0,
+        seeds: int = 1,
+        ground_truth: GroundTruth = "poses",
+        out_of_distribution: bool = False,
+        bundled: Callable[[], Recordings] = load_recordings,
     ) -> None:
-        """Divide ``recordings``; when nothing is in a fold, all scenes are scored."""
+        """Divide ``recordings``; when nothing is in a fold, all scenes are scored.
+
+        Raises:
+            ConfigurationError: for no seed at all, or when no scene is out of distribution and these are asked for.
+        """
+        if seeds < 1:
+            raise ConfigurationError(f"seeds: expected 1 or more, got {seeds}")
         self.folds: tuple[int, ...] = tuple(sorted({scene.fold for scene in recordings.scenes if scene.fold >= 0}))
-        inside = recordings.select(folds=self.folds) if self.folds else recordings
-        self.recordings = with_held_out_constants(inside)
-        self.left_out = len(recordings) - len(inside)
         self.foreign = len(self.folds) < 2
-        self.seed = seed
+        self.seed, self.seeds, self.ground_truth = seed, seeds, ground_truth
+        self._inside = recordings.select(folds=self.folds) if self.folds else recordings
+        self._outside = out_of_distribution
+        tested = recordings.select(folds=[OUT_OF_DISTRIBUTION]) if out_of_distribution else self._inside
+        self._tested = tested
+        # Constants of what is tested come from other folds, so all folds take part before the tested are taken out.
+        prepared = self._at_clock(with_held_out_constants(recordings if out_of_distribution else self._inside))
+        self.recordings = prepared.select(scenes=[scene.name for scene in tested.scenes])
+        self.left_out = len(recordings) - len(tested)
+        self.truths = truths_of(self.recordings)
         self._bundled = bundled
+        self._training: dict[int, Recordings] = {}
 
     def training(self, fold: int) -> Recordings:
-        """The scenes a learned policy is fitted on before it is tested on ``fold``."""
-        if not self.foreign:
-            return self.recordings.select(folds=[other for other in self.folds if other != fold])
-        bundled = self._bundled()
-        tested = {scene.values_hash for scene in self.recordings.scenes}
-        names = [scene.name for scene in bundled.scenes if scene.fold >= 0 and scene.values_hash not in tested]
-        if not names:
-            raise PolicyError("expected training scenes that are not tested, found none: give recordings with 2 folds")
-        return bundled.select(scenes=names)
+        """The scenes a learned policy is fitted on before it is tested on ``fold``.
+
+        Their vehicle constants are fitted on them alone: those they are scored with may have seen ``fold``.
+
+        Raises:
+            PolicyError: if there is no scene that is not tested.
+        """
+        if fold not in self._training:
+            if self.foreign:
+                training = self._foreign_scenes()
+            else:
+                others = [other for other in self.folds if self._outside or other != fold]
+                training = with_training_constants(self._inside.select(folds=others), others)
+            self._training[fold] = self._at_clock(training)
+        return self._training[fold]
 
     def run(self, name: str, track: str, *, folds: Sequence[int] | None = None) -> Run:
         """Fit, where there is something to learn, and play through every test scene.
@@ -93,29 +138,65 @@ class CrossValidation:
         """
         everything = np.ones(len(self.recordings), dtype=np.bool_)
         if name in FLOORS:
-            return Run(name, True, False, FLOORS[name](self.recordings), everything, {})
+            motions = {truth: (FLOORS[name](with_truth(self.recordings, truth)),) for truth in self.truths}
+            return Run(name, True, False, motions, everything, {})
         policy = create(name, self.recordings)
-        if not policy.learns:
-            recordings = as_variant(self.recordings, name)
-            policy.fit(recordings, track, seed=self.seed)
-            motion = rollout(policy, recordings, track)
-            return Run(name, policy.privileged, False, motion, everything, {UNFOLDED: policy})
-        return self._run_learned(name, track, folds)
+        # Asked once: what is shown to a policy and what the table says of it must be the same.
+        learns, privileged = bool(policy.learns), bool(policy.privileged)
+        if learns:
+            return self._run_learned(name, track, folds, privileged)
+        recordings = as_variant(self.recordings, name)
+        policy.start(recordings.voters(track))
+        return Run(name, privileged, False, self._play(policy, recordings, track, privileged), everything, {-1: policy})
 
-    def _run_learned(self, name: str, track: str, folds: Sequence[int] | None) -> Run:
-        """One freshly fitted policy per fold, each tested on the scenes it has not seen."""
+    def _run_learned(self, name: str, track: str, folds: Sequence[int] | None, privileged: bool) -> Run:
+        """Freshly fitted policies per fold, each tested on the scenes it has not seen."""
         entries = self.recordings.scenes
-        increments = np.zeros(self.recordings.offsets[-1])
+        whole = self.foreign or self._outside
+        tested_folds = (UNFOLDED,) if whole else self.folds if folds is None else tuple(folds)
+        tested = np.array([whole or scene.fold in tested_folds for scene in entries])
         scene_of_row = np.repeat(np.arange(len(entries)), np.diff(self.recordings.offsets))
-        tested = np.zeros(len(entries), dtype=np.bool_)
+        increments = {truth: np.zeros((self.seeds, self.recordings.offsets[-1])) for truth in self.truths}
         policies: dict[int, Policy] = {}
-        for fold in (UNFOLDED,) if self.foreign else self.folds if folds is None else folds:
-            policy = policies[fold] = create(name, self.recordings)
-            seed = int(np.random.SeedSequence([self.seed, fold + 1]).generate_state(1)[0])
-            policy.fit(self.training(fold), track, seed=seed)
-            here = np.array([self.foreign or scene.fold == fold for scene in entries])
+        for fold in tested_folds:
+            here = np.array([whole or scene.fold == fold for scene in entries])
             scenes = self.recordings.select(scenes=[entries[i].name for i in np.flatnonzero(here)])
-            increments[here[scene_of_row]] = rollout(policy, scenes, track).yaw_increment_rad
-            tested |= here
-        privileged = any(policy.privileged for policy in policies.values())
-        return Run(name, privileged, True, with_wheels(self.recordings, increments), tested, policies)
+            for k in range(self.seeds):
+                policy = create(name, self.recordings)
+                policies.setdefault(fold, policy)
+                prepare(policy, self.training(fold), track, seed=self._seed_of(fold, k))
+                for truth, (motion,) in self._play(policy, scenes, track, privileged).items():
+                    increments[truth][k, here[scene_of_row]] = motion.yaw_increment_rad
+        motions = {
+            truth: tuple(with_wheels(self.recordings, of_seed) for of_seed in values)
+            for truth, values in increments.items()
+        }
+        return Run(name, privileged, True, motions, tested, policies)
+
+    def _play(self, policy: Policy, scenes: Recordings, track: str, privileged: bool) -> dict[str, tuple[Motion]]:
+        """Its motion for every truth; a policy that does not read it is played once."""
+        if privileged:
+            return {
+                truth: (rollout(policy, with_truth(scenes, truth), track, privileged=True),) for truth in self.truths
+            }
+        return dict.fromkeys(self.truths, (rollout(policy, scenes, track),))
+
+    def _foreign_scenes(self) -> Recordings:
+        """Bundled scenes whose drives are not tested."""
+        bundled, tested = self._bundled(), drives(self._tested)
+        names = [
+            scene.name
+            for i, scene in enumerate(bundled.scenes)
+            if scene.fold >= 0 and drive_hash(bundled, i) not in tested
+        ]
+        if not names:
+            raise PolicyError("expected training scenes that are not tested, found none: give recordings with 2 folds")
+        return bundled.select(scenes=names)
+
+    def _at_clock(self, recordings: Recordings) -> Recordings:
+        """Recordings as policies and scores see them, at the chosen clock."""
+        return at_keyframes(recordings) if self.ground_truth == "keyframes" else recordings
+
+    def _seed_of(self, fold: int, repetition: int) -> int:
+        parts = [self.seed, fold + 1] + ([repetition] if repetition else [])
+        return int(np.random.SeedSequence(parts).generate_state(1)[0])

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,10 +14,12 @@ from mixo_env.envs.replay import Replay
 from mixo_env.experts.expert import State
 from mixo_env.experts.monocular.config import MonocularConfig
 from mixo_env.fusion import dead_reckon
+from mixo_env.leaderboard.noise import NOISE_FLOOR, yaw_noise_rad
 from mixo_env.metrics.absolute import SceneAbsolute, absolute_errors_se2, scene_absolute
 from mixo_env.metrics.pairs import PairRule, Pairs, find_pairs, path_length
 from mixo_env.metrics.relative import RelativeSamples, relative_errors_se2
 from mixo_env.metrics.tracks import LostTracks, count_lost_tracks
+from mixo_env.policies.fitting import check
 from mixo_env.policies.playing import play
 from mixo_env.policies.policy import Policy
 from mixo_env.recordings.collection import Recordings
@@ -25,9 +27,6 @@ from mixo_env.recordings.schema import VehicleConstants
 from mixo_env.recordings.vehicles import travelled_m
 
 FloatArray = NDArray[np.float64]
-
-Truth = Literal["truth", "exact"]
-"""The written poses of the data set, or the noise-free ones of a simulator."""
 
 
 @dataclass(frozen=True)
@@ -53,14 +52,20 @@ class Poses:
     yaw_rad: FloatArray
 
 
-def rollout(policy: Policy, recordings: Recordings, track: str) -> Motion:
+def rollout(policy: Policy, recordings: Recordings, track: str, *, privileged: bool = False) -> Motion:
     """Play a fitted policy through every scene at once, step by step, feeding back its own fused yaw rate.
 
+    Args:
+        policy: prepared; what it observes are fresh arrays, which lead nowhere else.
+        recordings: tested scenes.
+        track: whose experts vote.
+        privileged: show it the ``truth.*`` yaw rate of these recordings.
+
     Raises:
-        PolicyError: when the policy was fitted for other voters or in another order.
+        PolicyError: when the policy was fitted for other voters, in another order, or on one of these drives.
     """
-    policy.check(recordings, track)
-    replay = Replay(recordings, track=track, experts=policy.experts, privileged=policy.privileged)
+    check(policy, recordings, track)
+    replay = Replay(recordings, track=track, experts=policy.experts, privileged=privileged)
     increments = np.full(recordings.offsets[-1], np.nan)
     row = recordings.offsets[:-1].copy()
     for active, _ in play(policy, replay):
@@ -83,12 +88,21 @@ def perfect_yaw(recordings: Recordings) -> Motion:
     return with_wheels(recordings, recordings["truth.yaw_increment_rad"])
 
 
+def noisy_truth(recordings: Recordings) -> Motion:
+    """Privileged floor: the true yaw seen through the estimated noise of the truth itself, wheel distance.
+
+    An exact estimate would score about as much against poses of this noise; below it nothing is a win.
+    """
+    noise = yaw_noise_rad(recordings) * np.random.default_rng(0).standard_normal(recordings.offsets[-1])
+    return with_wheels(recordings, recordings["truth.yaw_increment_rad"] + np.diff(noise, prepend=0.0))
+
+
 def perfect_yaw_and_distance(recordings: Recordings) -> Motion:
     """Privileged floor: true yaw and distance. What is left is the direction of travel: eq. 1 assumes the heading."""
     return replace(perfect_yaw(recordings), distance_m=recordings["truth.distance_m"])
 
 
-FLOORS = {"PERFECT YAW": perfect_yaw, "PERFECT YAW + TRUE DISTANCE": perfect_yaw_and_distance}
+FLOORS = {"PERFECT YAW": perfect_yaw, "PERFECT YAW + TRUE DISTANCE": perfect_yaw_and_distance, NOISE_FLOOR: noisy_truth}
 """Privileged rows that stand in every table; they choose no weights, so they are no policies."""
 
 
@@ -123,11 +137,36 @@ class Errors:
     steps: NDArray[np.int64]
 
 
+def mean_errors(runs: Sequence[Errors]) -> Errors:
+    """The mean of each error over runs of several seeds: what a row reports, never its best run."""
+    if len(runs) == 1:
+        return runs[0]
+    first = runs[0]
+
+    def mean(values: Callable[[Errors], FloatArray]) -> FloatArray:
+        return np.mean([values(run) for run in runs], axis=0)
+
+    return Errors(
+        absolute=SceneAbsolute(
+            mean(lambda run: run.absolute.translation_m), mean(lambda run: run.absolute.rotation_deg)
+        ),
+        relative=replace(
+            first.relative,
+            translation_m=mean(lambda run: run.relative.translation_m),
+            rotation_deg=mean(lambda run: run.relative.rotation_deg),
+            translation_percent=mean(lambda run: run.relative.translation_percent),
+            rotation_deg_per_m=mean(lambda run: run.relative.rotation_deg_per_m),
+        ),
+        squared_yaw_increment_deg2=mean(lambda run: run.squared_yaw_increment_deg2),
+        steps=first.steps,
+    )
+
+
 class Course:
     """The true way through every scene, and the pieces of path on which every motion is compared."""
 
-    def __init__(self, recordings: Recordings, truth: Truth = "truth", rule: PairRule | None = None) -> None:
-        """Prepare one truth of ``recordings``; ``rule`` chooses the pieces of path (default: the headline's)."""
+    def __init__(self, recordings: Recordings, truth: str = "truth", rule: PairRule | None = None) -> None:
+        """Prepare one of the truths of ``recordings``; ``rule`` chooses the pieces of path (default: headline's)."""
         self.offsets = recordings.offsets
         x, y, yaw = (recordings[f"{truth}.{name}"].astype(np.float64) for name in ("x_m", "y_m", "yaw_rad"))
         self.poses = Poses(x, y, yaw)

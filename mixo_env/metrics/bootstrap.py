@@ -8,16 +8,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from mixo_env.errors import ConfigurationError
 from mixo_env.geometry import FloatArray
+from mixo_env.metrics.signflips import sign_flip_p_values
+
+Name = TypeVar("Name")
 
 RESAMPLES = 10_000
-_EXACT_GROUPS = 14
-"""Up to this many groups every one of the 2^groups sign patterns is tried."""
 
 
 @dataclass(frozen=True)
@@ -38,10 +41,12 @@ class PairedDifference:
     Attributes:
         difference: the mean, with its bootstrap interval.
         p_value: two-sided, from flipping the sign of whole groups: small only when the groups agree.
+        standard_error: of the mean, from the same resamples; NaN with fewer than two groups.
     """
 
     difference: Interval
     p_value: float
+    standard_error: float
 
 
 def interval_over_groups(
@@ -64,15 +69,43 @@ def interval_over_groups(
         resamples: bootstrap draws.
         seed: of the draws; the same seed draws the same groups for every method.
     """
-    sums, counts = _per_group(values, groups)
+    sums, counts = per_group(values, groups)
     if not 0.0 < confidence < 1.0:
         raise ConfigurationError(f"expected a confidence between 0 and 1, got {confidence}; 0.95 is usual")
-    mean = float(sums.sum() / counts.sum()) if len(sums) else float("nan")
+    return _interval(sums, resampled_means(sums, counts, resamples, seed), counts, confidence)
+
+
+def resampled_means(sums: FloatArray, counts: FloatArray, resamples: int, seed: int) -> FloatArray:
+    """Means of all samples of as many groups drawn with replacement.
+
+    Args:
+        sums: ``(groups, ...)`` of the samples of each group.
+        counts: ``(groups,)`` their number.
+        resamples: draws.
+        seed: of the draws.
+
+    Returns:
+        ``(resamples, ...)``; none below two groups.
+    """
     if len(sums) < 2:
+        return np.empty((0, *sums.shape[1:]))
+    drawn = _drawn(len(sums), resamples, seed)
+    return ((drawn @ sums).T / (drawn @ counts)).T
+
+
+@lru_cache(maxsize=4)
+def _drawn(groups: int, resamples: int, seed: int) -> FloatArray:
+    """``(resamples, groups)`` how often each group was drawn. Read only: every method of a table shares them."""
+    drawn = np.random.default_rng(seed).multinomial(groups, np.full(groups, 1.0 / groups), size=resamples)
+    shared = drawn.astype(np.float64)
+    shared.flags.writeable = False
+    return shared
+
+
+def _interval(sums: FloatArray, means: FloatArray, counts: FloatArray, confidence: float) -> Interval:
+    mean = float(sums.sum() / counts.sum()) if len(sums) else float("nan")
+    if not len(means):
         return Interval(mean, float("nan"), float("nan"), len(sums), confidence)
-    rng = np.random.default_rng(seed)
-    drawn = rng.multinomial(len(sums), np.full(len(sums), 1.0 / len(sums)), size=resamples)
-    means = (drawn @ sums) / (drawn @ counts)
     low, high = np.quantile(means, [0.5 - confidence / 2.0, 0.5 + confidence / 2.0])
     return Interval(mean, float(low), float(high), len(sums), confidence)
 
@@ -88,31 +121,34 @@ def paired_difference(
 ) -> PairedDifference:
     """Is ``a`` better than ``b`` on the same samples (same scenes, same pairs)?
 
-    The p-value is that of a sign-flip permutation test on group sums: if neither is better, every group's difference
-    could as well have had the other sign. All patterns are tried up to 14 groups, ``resamples`` random ones beyond.
-    With g groups it cannot fall below 2 / 2^g, which is the honest limit of few drives.
+    The p-value is that of a sign-flip test on group sums (:mod:`~mixo_env.metrics.signflips`). With g groups it cannot
+    fall below 2 / 2^g, which is the honest limit of few drives.
 
     Args:
         a: ``(N,)`` errors of one method.
         b: ``(N,)`` errors of the other, sample by sample.
         groups: ``(N,)`` label of each sample's group.
         confidence: of the interval.
-        resamples: bootstrap draws and random sign patterns.
-        seed: of both.
+        resamples: bootstrap draws.
+        seed: of these and of random sign patterns.
     """
     first, second = np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64)
     if first.shape != second.shape:
         raise ConfigurationError(
             f"a paired difference needs the same samples, got {first.shape} and {second.shape}; score on the same pairs"
         )
-    difference = interval_over_groups(first - second, groups, confidence=confidence, resamples=resamples, seed=seed)
-    sums, _ = _per_group(first - second, groups)
-    return PairedDifference(difference, _sign_flip_p_value(sums, resamples, seed))
+    sums, counts = per_group(first - second, groups)
+    means = resampled_means(sums, counts, resamples, seed)
+    return PairedDifference(
+        difference=_interval(sums, means, counts, confidence),
+        p_value=float(sign_flip_p_values(sums[:, None], seed=seed)[0]),
+        standard_error=float(means.std()) if len(means) else float("nan"),
+    )
 
 
-def holm(p_values: Mapping[str, float]) -> dict[str, float]:
+def holm(p_values: Mapping[Name, float]) -> dict[Name, float]:
     """p-values corrected for several comparisons after Holm (1979), in the order given; never above 1."""
-    corrected: dict[str, float] = {}
+    corrected: dict[Name, float] = {}
     running = 0.0
     for rank, name in enumerate(sorted(p_values, key=lambda name: p_values[name])):
         running = max(running, (len(p_values) - rank) * p_values[name])
@@ -120,7 +156,7 @@ def holm(p_values: Mapping[str, float]) -> dict[str, float]:
     return {name: corrected[name] for name in p_values}
 
 
-def _per_group(values: ArrayLike, groups: Sequence[object] | NDArray[np.generic]) -> tuple[FloatArray, FloatArray]:
+def per_group(values: ArrayLike, groups: Sequence[object] | NDArray[np.generic]) -> tuple[FloatArray, FloatArray]:
     """Sum and number of the samples of each group, ``(groups,)`` each."""
     samples = np.asarray(values, dtype=np.float64)
     if len(samples) != len(groups):
@@ -128,13 +164,3 @@ def _per_group(values: ArrayLike, groups: Sequence[object] | NDArray[np.generic]
     _, index = np.unique(np.asarray(groups), return_inverse=True)
     sums = np.asarray(np.bincount(index, weights=samples), dtype=np.float64)
     return sums, np.asarray(np.bincount(index), dtype=np.float64)
-
-
-def _sign_flip_p_value(sums: FloatArray, resamples: int, seed: int) -> float:
-    observed = abs(sums.sum()) * (1.0 - 1e-12)  # equal sums must count as equal whatever the order of adding
-    if len(sums) <= _EXACT_GROUPS:
-        patterns = np.arange(2 ** len(sums))[:, None] >> np.arange(len(sums)) & 1
-        return float(np.mean(np.abs((1.0 - 2.0 * patterns) @ sums) >= observed))
-    signs = 1.0 - 2.0 * np.random.default_rng(seed).integers(0, 2, size=(resamples, len(sums)))
-    # The observed pattern counts as one of the draws, so the p-value is never 0.
-    return float((1 + np.count_nonzero(np.abs(signs @ sums) >= observed)) / (resamples + 1))

@@ -50,14 +50,14 @@ class Mixo(Policy):
         self.learning_rate, self.decay = learning_rate, decay
         self.batch, self.epochs, self.min_updates = batch, epochs, min_updates
 
-    def fit(self, recordings: Recordings, track: str, *, seed: int = 0) -> None:
-        """Train on all steps of ``recordings``; same seed, same machine: same bits."""
+    def fit(self, training: Recordings, track: str, *, seed: int = 0) -> None:
+        """Train on all steps of ``training``; same seed, same machine: same bits."""
         import torch
 
-        super().fit(recordings, track)
+        super().fit(training, track)
         linear = Linear()
-        linear.fit(recordings, track)
-        samples = collect(recordings, track, linear)
+        linear.fit(training, track)
+        samples = collect(training, track, linear)
         x = gate_input(samples)
         self._mean, self._std = x.mean(axis=0), x.std(axis=0)
         self._std[self._std == 0.0] = 1.0

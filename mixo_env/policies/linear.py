@@ -25,10 +25,10 @@ class Linear(Policy):
     learns = True
     weights: Weights
 
-    def fit(self, recordings: Recordings, track: str, *, seed: int = 0) -> None:
+    def fit(self, training: Recordings, track: str, *, seed: int = 0) -> None:
         """Solve for the weights; lost experts count with their inertial substitutes, as they will when scored."""
-        super().fit(recordings, track)
-        increments, truth = substituted_increments(recordings, track), recordings["truth.yaw_increment_rad"]
+        super().fit(training, track)
+        increments, truth = substituted_increments(training, track), training["truth.yaw_increment_rad"]
         steps = np.isfinite(truth) & np.isfinite(increments).all(axis=1)  # not row 0 of a scene
         self.weights = least_squares_weights(increments[steps], truth[steps])
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import abc
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, ClassVar, Self
 
@@ -23,35 +23,37 @@ Weights = NDArray[np.float64]
 class Policy(abc.ABC):
     """Decides, step by step and for a batch of scenes at once, how much each expert counts.
 
+    :func:`~mixo_env.policies.fitting.prepare` hands a policy the names of the voters (:meth:`start`) and, if it learns,
+    training scenes (:meth:`fit`); then it sees one observation after the other (:meth:`act`). Nothing it is given leads
+    to the truth of a tested scene.
+
     Attributes:
         name: as printed in tables.
         privileged: whether the policy reads ground truth; its name then says so too. Only a privileged policy finds
             ``truth_yaw_rate`` in its observation.
-        learns: whether :meth:`fit` learns from the training scenes; only such policies are fitted anew for every fold.
-        experts: the voters, in the order of the weights; set by :meth:`fit` or :meth:`load`.
+        learns: whether it is fitted on training scenes, anew for every fold. :meth:`fit` of others is never called.
+        experts: those it weights, in the order of the weights; set by :meth:`start` or :meth:`load`.
+        fitted_on: hashes of the drives it was fitted on, where it is refused; set by
+            :func:`~mixo_env.policies.fitting.prepare` or :meth:`load`.
     """
 
     name: str
     privileged: ClassVar[bool] = False
     learns: ClassVar[bool] = False
     experts: tuple[str, ...] = ()
+    fitted_on: frozenset[str] = frozenset()
 
-    def voters(self, recordings: Recordings, track: str) -> tuple[str, ...]:
-        """The experts this policy weights in ``track``, in order."""
-        return recordings.voters(track)
+    def weighted(self, voters: tuple[str, ...]) -> tuple[str, ...]:
+        """The experts this policy weights where ``voters`` vote, in order: just these, unless it adds a reference."""
+        return voters
 
-    def fit(self, recordings: Recordings, track: str, *, seed: int = 0) -> None:
-        """Learn from training scenes. The default only remembers the track's voters."""
-        self.experts = self.voters(recordings, track)
+    def start(self, voters: Sequence[str]) -> None:
+        """Take the names of the voters; all that a policy which does not learn is ever told."""
+        self.experts = self.weighted(tuple(voters))
 
-    def check(self, recordings: Recordings, track: str) -> None:
-        """Raise :class:`PolicyError` unless this policy was fitted for exactly these voters in this order."""
-        expected = self.voters(recordings, track)
-        if self.experts != expected:
-            raise PolicyError(
-                f"{self.name} was fitted for {', '.join(self.experts) or 'nothing yet'}, but track {track} of these "
-                f"recordings has {', '.join(expected)}, in this order: fit it on recordings with these experts"
-            )
+    def fit(self, training: Recordings, track: str, *, seed: int = 0) -> None:
+        """Learn from training scenes. Policies that learn extend this, which only starts them."""
+        self.start(training.voters(track))
 
     def reset(self, batch: int) -> None:
         """Forget the past: ``batch`` scenes start. Stateless policies inherit this and do nothing."""
@@ -73,7 +75,12 @@ class Policy(abc.ABC):
 
     def save(self, folder: Path) -> None:
         """Write everything :meth:`load` needs into ``folder`` (safetensors + JSON, never pickled code)."""
-        description = {"policy": self.name, "experts": list(self.experts), "settings": self.settings()}
+        description = {
+            "policy": self.name,
+            "experts": list(self.experts),
+            "settings": self.settings(),
+            "fitted_on": sorted(self.fitted_on),
+        }
         storage.write(folder, description, self.tensors())
 
     @classmethod
@@ -89,6 +96,7 @@ class Policy(abc.ABC):
             if policy.name != description["policy"]:
                 raise PolicyError(f"expected {policy.name} in {folder}, got {description['policy']}: load it as that")
             policy.experts = tuple(description["experts"])
+            policy.fitted_on = frozenset(description["fitted_on"])
             policy.restore(tensors)
         except (TypeError, KeyError, ValueError, RuntimeError) as error:
             raise PolicyError(f"{folder} does not fit {cls.__name__} ({error}): save the policy anew") from None

@@ -51,21 +51,21 @@ class PPO(Policy):
         self.batch, self.epochs, self.learning_rate = batch, epochs, learning_rate
         self.hidden = tuple(hidden)
 
-    def fit(self, recordings: Recordings, track: str, *, seed: int = 0) -> None:
-        """Train on all scenes of ``recordings``; same seed, same machine: same bits."""
+    def fit(self, training: Recordings, track: str, *, seed: int = 0) -> None:
+        """Train on all scenes of ``training``; same seed, same machine: same bits."""
         import stable_baselines3
         import torch
 
         from mixo_env.envs.sb3 import MixoVecEnv
 
-        super().fit(recordings, track)
+        super().fit(training, track)
         linear = Linear()
-        linear.fit(recordings, track)
-        self._standardise = Standardise.fit(flat(collect(recordings, track, linear)))
+        linear.fit(training, track)
+        self._standardise = Standardise.fit(flat(collect(training, track, linear)))
         environment = MixoVecEnv(
             num_envs=self.environments,
             transform=self._standardise,
-            recordings=recordings,
+            recordings=training,
             track=track,
             split="all",
             observation="rich",

@@ -78,10 +78,10 @@ class Huber(Policy):
     name = "HUBER"
     learns = True
 
-    def fit(self, recordings: Recordings, track: str, *, seed: int = 0) -> None:
+    def fit(self, training: Recordings, track: str, *, seed: int = 0) -> None:
         """Measure the scales on the training scenes; an infinite one means no weight."""
-        super().fit(recordings, track)
-        self._scale_rad = np.array([error_scale_rad(recordings, expert) for expert in self.experts])
+        super().fit(training, track)
+        self._scale_rad = np.array([error_scale_rad(training, expert) for expert in self.experts])
 
     def act(self, observation: Observation) -> Weights:
         """Rows ``(batch, experts)`` that sum to one."""

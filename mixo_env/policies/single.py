@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 
 from mixo_env.policies.policy import Observation, Policy, Weights
-from mixo_env.recordings.collection import Recordings
 
 
 class Single(Policy):
@@ -20,9 +19,8 @@ class Single(Policy):
         """Follow ``expert``, which also names the policy."""
         self.name = expert
 
-    def voters(self, recordings: Recordings, track: str) -> tuple[str, ...]:
-        """The track's voters, then this expert if it is none of them."""
-        voters = recordings.voters(track)
+    def weighted(self, voters: tuple[str, ...]) -> tuple[str, ...]:
+        """The voters, then this expert if it is none of them."""
         return voters if self.name in voters else (*voters, self.name)
 
     def act(self, observation: Observation) -> Weights:

@@ -22,10 +22,14 @@ def write(folder: Path, description: Mapping[str, Any], tensors: Mapping[str, ND
     """Write ``folder/policy.safetensors`` atomically; equal input gives equal bytes.
 
     Raises:
+        PolicyError: for tensors of anything but numbers.
         OutputError: when it cannot be written.
     """
     from safetensors.numpy import save
 
+    for name, value in tensors.items():
+        if np.asarray(value).dtype.kind not in "biuf":
+            raise PolicyError(f"tensor {name!r}: expected numbers, got {np.asarray(value).dtype}: nothing is pickled")
     metadata = {DESCRIPTION: json.dumps(description, sort_keys=True)}
     data = save({name: np.ascontiguousarray(value) for name, value in tensors.items()}, metadata=metadata)
     write_bytes(folder / FILE, data)

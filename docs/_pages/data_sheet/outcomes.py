@@ -11,15 +11,13 @@ from numpy.typing import NDArray
 from mixo_env.errors import ConfigurationError, unknown
 from mixo_env.experts.expert import State
 from mixo_env.leaderboard.evaluation import lost_tracks
+from mixo_env.leaderboard.firing_order import MOVING_MPS
 from mixo_env.metrics.tracks import LostTracks
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.variants import as_variant, variants
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
-
-MOVING_MPS = 0.2
-"""Slower steps say nothing about who is best."""
 
 TURNING_RADPS = np.radians(5.0)
 """A step of a turn."""
@@ -126,23 +124,6 @@ def exact_step_errors(recordings: Recordings) -> FloatArray:
     truth[recordings.offsets[:-1]] = np.nan
     estimates = [recordings[f"{camera}.yaw_increment_rad"] for camera in recordings.manifest.cameras]
     return np.abs(np.stack(estimates, axis=1) - truth[:, None])
-
-
-def best_shares(errors: FloatArray, steps: BoolArray) -> FloatArray:
-    """Share of steps at which each camera is locally best (eq. 2); ties are split among those that tie.
-
-    Args:
-        errors: ``(rows, cameras)``; NaN takes no part.
-        steps: ``(rows,)`` that count; those in which no camera has an error are left out.
-
-    Returns:
-        ``(cameras,)``, adding up to one; NaN without a step.
-    """
-    rows = errors[steps & np.isfinite(errors).any(axis=1)]
-    if not len(rows):
-        return np.full(errors.shape[1], np.nan)
-    best = rows == np.nanmin(rows, axis=1, keepdims=True)
-    return (best / best.sum(axis=1, keepdims=True)).mean(axis=0)
 
 
 def tracking_share(recordings: Recordings, camera: str) -> float:

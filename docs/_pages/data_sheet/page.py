@@ -15,7 +15,6 @@ from docs._pages.data_sheet.outcomes import (
     PAPER_BEST_FRONT,
     PAPER_BEST_OTHERS,
     PAPER_LOST,
-    best_shares,
     camera_lost_tracks,
     exact_step_errors,
     moving_steps,
@@ -26,6 +25,7 @@ from docs._pages.data_sheet.outcomes import (
 )
 from docs._pages.data_sheet.shares_section import shares_section
 from mixo_env.errors import ConfigurationError
+from mixo_env.leaderboard.firing_order import best_shares
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.folds import OUT_OF_DISTRIBUTION
 from mixo_env.tables import Column, Table

@@ -1,0 +1,147 @@
+"""Every number of the leaderboard as plain values: JSON, and one CSV line per scene."""
+
+from __future__ import annotations
+
+import csv
+import io
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixo_env.geometry import FloatArray
+from mixo_env.leaderboard.board import Leaderboard, Table
+from mixo_env.leaderboard.comparisons import Comparison, Comparisons
+from mixo_env.leaderboard.firing_order import firing_order
+from mixo_env.leaderboard.rows import Row
+from mixo_env.leaderboard.sentences import conventions, lost_mean_std
+from mixo_env.metrics.relative import RelativeSamples
+from mixo_env.tables import csv_cell
+
+
+def to_json(board: Leaderboard) -> dict[str, Any]:
+    """Every number of the tables, full precision."""
+    recordings, protocol = board.recordings, board.protocol
+    order = firing_order(recordings, board.headline)
+    return {
+        "data_version": recordings.manifest.data_version,
+        "scenes": [scene.name for scene in recordings.scenes],
+        "logs": board.logs,
+        "folds": list(protocol.folds),
+        "seed": protocol.seed,
+        "seeds": protocol.seeds,
+        "ground_truth": protocol.ground_truth,
+        "headline": board.headline,
+        "noise_floor_deg_per_m": board.noise_floor,
+        "conventions": conventions(board),
+        "firing_order": order and _plain(asdict(order) | {"cost_deg": order.cost_deg}),
+        "lengths": [
+            {"length_m": length, "samples": samples, "scenes": scenes}
+            for length, (samples, scenes) in board.courses[board.headline].pieces().items()
+        ],
+        "tracks": {table.track: _table_json(table) for table in board.tables},
+        "night": board.night and to_json(board.night),
+    }
+
+
+def _table_json(table: Table) -> dict[str, Any]:
+    return {
+        "rows": [_row_json(row) for row in table.rows],
+        "comparisons": _comparisons_json(table.comparisons),
+        "one_fold": table.one_fold,
+        "one_fold_rows": [_row_json(row) for row in table.one_fold_rows],
+        "one_fold_comparisons": _comparisons_json(table.one_fold_comparisons),
+        "groups": [
+            {
+                "by": group.by,
+                "name": group.name,
+                "rows": [_row_json(row) for row in group.rows],
+                "letters": dict(group.comparisons.letters),
+            }
+            for group in table.groups
+        ],
+        "linear_weights": {str(fold): weights for fold, weights in table.linear_weights().items()},
+        "left_out": table.left_out,
+    }
+
+
+def to_csv(board: Leaderboard) -> str:
+    """One line per track, policy, truth and tested scene."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(
+        [
+            *("track", "policy", "privileged", "truth", "scene", "log", "fold"),
+            *(
+                "ate_m",
+                "ate_deg",
+                "rte_percent",
+                "rte_deg_per_m",
+                "rte_samples",
+                "yaw_increment_rmse_deg",
+                "lost_tracks",
+            ),
+        ]
+    )
+    entries = board.recordings.scenes
+    for table in board.tables:
+        tested_in_part = [row for row in table.one_fold_rows if row.name not in {r.name for r in table.rows}]
+        for row in (*table.rows, *tested_in_part):
+            for truth, errors in row.errors.items():
+                translation, rotation, samples = _scene_means(errors.relative, len(entries))
+                for i in np.flatnonzero(row.run.tested):
+                    numbers = (
+                        errors.absolute.translation_m[i],
+                        errors.absolute.rotation_deg[i],
+                        translation[i],
+                        rotation[i],
+                        samples[i],
+                        np.sqrt(errors.squared_yaw_increment_deg2[i] / errors.steps[i]),
+                        row.lost.counts[i] if row.lost else "",
+                    )
+                    names = (table.track, row.name, int(row.run.privileged), truth, entries[i].name, entries[i].log)
+                    writer.writerow([*map(csv_cell, names), entries[i].fold, *numbers])
+    return text.getvalue()
+
+
+def _scene_means(samples: RelativeSamples, scenes: int) -> tuple[FloatArray, FloatArray, NDArray[np.int64]]:
+    """Mean RTE [%] and [deg/m] of each scene ``(scenes,)``, NaN without a sample, and their number."""
+    counts = np.bincount(samples.scene, minlength=scenes)
+    sums = (
+        np.bincount(samples.scene, weights=values, minlength=scenes)
+        for values in (samples.translation_percent, samples.rotation_deg_per_m)
+    )
+    translation, rotation = (np.where(counts > 0, total / np.maximum(counts, 1), np.nan) for total in sums)
+    return translation, rotation, counts
+
+
+def _row_json(row: Row) -> dict[str, Any]:
+    lost, instantly = (lost_mean_std(row, lost) for lost in (row.lost, row.lost_instantly))
+    return {
+        "policy": row.name,
+        "privileged": row.run.privileged,
+        "reference": not row.votes,
+        "lost_per_scene": lost and {"mean": lost[0], "std": lost[1]},
+        "lost_per_scene_instantly": instantly and {"mean": instantly[0], "std": instantly[1]},
+        "scores": {truth: asdict(score) for truth, score in row.scores.items()},
+    }
+
+
+def _comparisons_json(comparisons: Comparisons) -> dict[str, Any]:
+    def plain(found: Comparison) -> dict[str, Any]:
+        return asdict(found) | {"share": found.share}
+
+    return {
+        "logs": comparisons.logs,
+        "confirmatory": [plain(found) for found in comparisons.confirmatory],
+        "exploratory": [plain(found) for found in comparisons.exploratory],
+        "letters": dict(comparisons.letters),
+    }
+
+
+def _plain(value: Any) -> Any:
+    """Arrays as lists, in nested dictionaries."""
+    if isinstance(value, dict):
+        return {key: _plain(inner) for key, inner in value.items()}
+    return value.tolist() if isinstance(value, np.ndarray) else value

@@ -1,0 +1,169 @@
+"""What stands below the tables: conventions, comparisons fixed beforehand, weights, the cost of the firing order."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from mixo_env.leaderboard.board import ONE_FOLD, RANKING_LOGS, Leaderboard, Table
+from mixo_env.leaderboard.comparisons import Comparison, Comparisons
+from mixo_env.leaderboard.firing_order import FiringOrder, Told, firing_order
+from mixo_env.leaderboard.rows import Row
+from mixo_env.metrics.tracks import LostTracks
+from mixo_env.recordings.schema import TRACKS
+
+TRUTH_NAMES = {
+    "exact": "the simulator's noise-free poses",
+    "truth": "the poses without their lag",
+    "written": "the poses as written",
+}
+
+LEGEND = (
+    "Lower is better. RTE: pooled relative error, with its 95 % interval; letters: rows that cannot be told apart "
+    "share one; - LINEAR, - MIXO: paired difference in RTE deg/m and its Holm-corrected p; ATE: mean over scenes; "
+    "lost: tracks lost per scene, mean ± standard deviation (a fused method loses track when no camera tracks; -: no "
+    "track to lose); yaw: RMSE of one step's increment; > 0.5 m: share of scenes with a larger ATE. † reads ground "
+    "truth; * has no vote in this track."
+)
+
+
+def conventions(board: Leaderboard) -> list[str]:
+    """Everything needed to read the numbers, one sentence a line."""
+    protocol, recordings = board.protocol, board.recordings
+    pieces = board.courses[board.headline].pieces().items()
+    samples = ", ".join(f"{length:g} m {count} ({scenes})" for length, (count, scenes) in pieces)
+    size = f"{count_of(len(recordings), 'scene')} of {count_of(board.logs, 'log')}"
+    intervals = f"Intervals: bootstrap over {board.logs} logs." if board.logs > 1 else "Intervals: none, one log."
+    clock = ", from key frame to key frame (2 Hz)" if protocol.ground_truth == "keyframes" else ""
+    seeds = f" and {protocol.seeds} seeds of learned policies (mean of their errors)" if protocol.seeds > 1 else ""
+    lines = [
+        f"Data {recordings.manifest.data_version}: {size}{clock}"
+        + (f", {count_of(protocol.left_out, 'scene')} outside the folds left out" if protocol.left_out else "")
+        + f"; seed {protocol.seed}{seeds}.",
+        f"Alignment: none, the first pose is the truth's. Headline truth: {TRUTH_NAMES[board.headline]}"
+        + "".join(f"; {truth}: {TRUTH_NAMES[truth]}" for truth in board.courses if truth != board.headline)
+        + ". A row that reads the truth chooses by the one that scores it.",
+        f"RTE: mean over all pieces of path, starts 1 m apart; pieces (scenes) per length: {samples}.",
+        f"{intervals} {_folds(board)}",
+    ]
+    if board.headline != "exact":
+        lines.append(
+            f"Noise floor of the truth: {board.noise_floor:.4f} deg/m (white yaw noise only, a lower bound); rows "
+            "below it have no letter."
+        )
+    instantly = {row.name: row for row in board.tables[0].rows if not row.fused and row.lost_instantly}
+    if instantly:
+        counts = ", ".join(f"{name} {mean_std_text(row, row.lost_instantly)}" for name, row in instantly.items())
+        lines.append(f"Lost per scene if cameras tracked again with the first good pair of images: {counts}.")
+    if order := firing_order(recordings, board.headline):
+        lines += firing_lines(order)
+    if board.logs < RANKING_LOGS:
+        lines.append(f"{size}: enough to see that everything works, claims no ranking (takes {RANKING_LOGS} logs).")
+    return lines
+
+
+def _folds(board: Leaderboard) -> str:
+    protocol = board.protocol
+    if protocol.foreign:
+        return (
+            "Fewer than two folds: learned policies were fitted on the bundled recordings, wheel scale and course "
+            "offset are nominal."
+        )
+    folds = (
+        f"{len(protocol.folds)} folds by log: learned policies, wheel scale and course offset are fitted on the other "
+        "folds."
+    )
+    if any(table.one_fold is not None for table in board.tables):
+        folds += f" {', '.join(ONE_FOLD)} is fitted once and tested on fold {protocol.folds[-1]}."
+    return folds
+
+
+def firing_lines(order: FiringOrder) -> list[str]:
+    """Eq. 2 and LINEAR's weights at the steps and at the cameras' own windows."""
+
+    def told(told: Told) -> str:
+        parts = zip(order.cameras, told.best_share, told.weights, strict=True)
+        cameras = ", ".join(f"{camera} {100 * share:.0f} % / {weight:.2f}" for camera, share, weight in parts)
+        return f"{cameras}; mixed {told.mixed_rms_deg:.4f} deg"
+
+    cost = ", ".join(f"{camera} {added:.4f}" for camera, added in zip(order.cameras, order.cost_deg, strict=True))
+    return [
+        f"Locally best (eq. 2) / weight of least squares with sum one, {order.steps} moving steps with all cameras: at "
+        f"the steps {told(order.at_steps)}; at the cameras' own windows {told(order.own_windows)}.",
+        f"The firing order still costs [deg RMS a step]: {cost}.",
+    ]
+
+
+def count_of(number: int, noun: str) -> str:
+    """Number and noun, in the plural where there are several."""
+    return f"{number} {noun}{'' if number == 1 else 's'}"
+
+
+def title(table: Table) -> str:
+    """What votes in this track."""
+    inertial = TRACKS[table.track]
+    votes = f"the cameras and {inertial} vote" if inertial else "the cameras vote, inertial gives distance and bridges"
+    return f"Track {table.track}: {votes}"
+
+
+def notes(table: Table) -> list[str]:
+    """Comparisons, LINEAR's weights and what was left out."""
+    lines = comparison_lines(table.comparisons)
+    if weights := table.linear_weights():
+        experts = next(iter(weights.values()))
+        mean = {expert: float(np.mean([fold[expert] for fold in weights.values()])) for expert in experts}
+        parts = ", ".join(f"{expert} {weight:.3f}" for expert, weight in mean.items())
+        lines.append(
+            f"LINEAR weights{', mean over folds' if len(weights) > 1 else ''}: {parts}; sum {sum(mean.values()):.3f}."
+        )
+    lines += [f"{name} left out: {why}." for name, why in table.left_out.items()]
+    return lines
+
+
+def comparison_lines(comparisons: Comparisons) -> list[str]:
+    """The confirmatory family pair by pair, and the size of the exploratory one."""
+    lines = []
+    if family := comparisons.confirmatory:
+        lines.append(
+            f"Confirmatory, {count_of(len(family), 'difference')} in RTE deg/m fixed beforehand, paired over "
+            f"{count_of(comparisons.logs, 'log')}; p (corrected after Holm), true difference detectable at 80 % power "
+            "(at Holm's strictest level): " + "; ".join(map(_confirmed, family)) + "."
+        )
+    if family := comparisons.exploratory:
+        lines.append(
+            f"Exploratory: letters and the columns - LINEAR, - MIXO come from all {count_of(len(family), 'pair')} of "
+            "rows without a dagger, Holm-corrected by themselves."
+        )
+    return lines
+
+
+def _confirmed(found: Comparison) -> str:
+    low, high = (end / found.second_error for end in (found.difference.low, found.difference.high))
+    reach, strict = (end / found.second_error for end in (found.detectable, found.detectable_holm))
+    return (
+        f"{found.first} - {found.second} {percent(found.share)} [{percent(low)}, {percent(high)}], "
+        f"p {p_text(found.p_value)} ({p_text(found.p_holm)}), detectable {100 * reach:.1f} % ({100 * strict:.1f} %)"
+    )
+
+
+def percent(share: float) -> str:
+    """A signed percentage."""
+    return "-" if np.isnan(share) else f"{100 * share:+.{0 if abs(share) >= 1.0 else 1}f} %"
+
+
+def p_text(p_value: float) -> str:
+    """A p-value in four decimals, without the leading zero."""
+    return "<.0001" if p_value < 1e-4 else "1" if p_value > 0.99995 else f"{p_value:.4f}".removeprefix("0")
+
+
+def mean_std_text(row: Row, lost: LostTracks | None) -> str:
+    """Tracks lost per scene."""
+    mean_std = lost_mean_std(row, lost)
+    return "-" if mean_std is None else f"{mean_std[0]:.2f} ± {mean_std[1]:.2f}"
+
+
+def lost_mean_std(row: Row, lost: LostTracks | None) -> tuple[float, float] | None:
+    """Mean and standard deviation over the tested scenes."""
+    if lost is None:
+        return None
+    counts = lost.counts[row.run.tested]
+    return float(counts.mean()), float(counts.std())
