@@ -13,9 +13,10 @@ from mixo_env.leaderboard.evaluation import FLOORS, Motion, rollout, with_wheels
 from mixo_env.policies.policy import Policy
 from mixo_env.policies.registry import create
 from mixo_env.recordings.collection import Recordings
+from mixo_env.recordings.pose_lag import lag_corrected
 from mixo_env.recordings.store import load_recordings
 from mixo_env.recordings.variants import as_variant
-from mixo_env.recordings.vehicles import with_held_out_constants
+from mixo_env.recordings.vehicles import with_held_out_constants, with_training_constants
 
 UNFOLDED = -1
 """Stands for the held-out fold where none is held out."""
@@ -47,10 +48,11 @@ class CrossValidation:
 
     Scenes outside every fold (night) are left out. With fewer than two folds there is nothing to train on that is not
     tested as well: learned policies then come from the bundled recordings, and wheel scale and course offset of the
-    vehicles stay nominal.
+    vehicles stay nominal; their pose lag comes from their other logs.
 
     Attributes:
-        recordings: the scenes that are scored, with vehicle constants fitted on the folds that hold none of them.
+        recordings: the scenes that are scored, with vehicle constants fitted on the folds that hold none of them, and
+            true poses without the lag among those constants.
         folds: those present.
         left_out: number of scenes in no fold.
         foreign: learned policies are fitted on the bundled recordings.
@@ -62,17 +64,30 @@ class CrossValidation:
         """Divide ``recordings``; when nothing is in a fold, all scenes are scored."""
         self.folds: tuple[int, ...] = tuple(sorted({scene.fold for scene in recordings.scenes if scene.fold >= 0}))
         inside = recordings.select(folds=self.folds) if self.folds else recordings
-        self.recordings = with_held_out_constants(inside)
+        self.recordings = lag_corrected(with_held_out_constants(inside))
+        self._inside = inside
+        self._training: dict[int, Recordings] = {}
         self.left_out = len(recordings) - len(inside)
         self.foreign = len(self.folds) < 2
         self.seed = seed
         self._bundled = bundled
 
     def training(self, fold: int) -> Recordings:
-        """The scenes a learned policy is fitted on before it is tested on ``fold``."""
-        if not self.foreign:
-            return self.recordings.select(folds=[other for other in self.folds if other != fold])
-        bundled = self._bundled()
+        """The scenes a learned policy is fitted on before it is tested on ``fold``.
+
+        Their vehicle constants are fitted on them alone: those they are scored with may have seen ``fold``, and the
+        pose lag would carry a little of its truth into the targets.
+        """
+        if fold not in self._training:
+            self._training[fold] = self._foreign_training() if self.foreign else self._own_training(fold)
+        return self._training[fold]
+
+    def _own_training(self, fold: int) -> Recordings:
+        others = [other for other in self.folds if other != fold]
+        return lag_corrected(with_training_constants(self._inside.select(folds=others), others))
+
+    def _foreign_training(self) -> Recordings:
+        bundled = lag_corrected(self._bundled())
         tested = {scene.values_hash for scene in self.recordings.scenes}
         names = [scene.name for scene in bundled.scenes if scene.fold >= 0 and scene.values_hash not in tested]
         if not names:

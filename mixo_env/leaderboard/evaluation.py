@@ -21,13 +21,14 @@ from mixo_env.metrics.tracks import LostTracks, count_lost_tracks
 from mixo_env.policies.playing import play
 from mixo_env.policies.policy import Policy
 from mixo_env.recordings.collection import Recordings
+from mixo_env.recordings.pose_lag import as_written
 from mixo_env.recordings.schema import VehicleConstants
 from mixo_env.recordings.vehicles import travelled_m
 
 FloatArray = NDArray[np.float64]
 
-Truth = Literal["truth", "exact"]
-"""The written poses of the data set, or the noise-free ones of a simulator."""
+Truth = Literal["truth", "written", "exact"]
+"""The poses of the data set without their lag, as they were written, or the noise-free ones of a simulator."""
 
 
 @dataclass(frozen=True)
@@ -129,6 +130,8 @@ class Course:
     def __init__(self, recordings: Recordings, truth: Truth = "truth", rule: PairRule | None = None) -> None:
         """Prepare one truth of ``recordings``; ``rule`` chooses the pieces of path (default: the headline's)."""
         self.offsets = recordings.offsets
+        if truth == "written":
+            recordings, truth = as_written(recordings), "truth"
         x, y, yaw = (recordings[f"{truth}.{name}"].astype(np.float64) for name in ("x_m", "y_m", "yaw_rad"))
         self.poses = Poses(x, y, yaw)
         self._rule = rule or PairRule()
