@@ -20,8 +20,8 @@ FloatArray = NDArray[np.float64]
 LARGEST_STD_S = 0.010
 """A lag less certain than this (standard error) is not used."""
 
-LEAST_DISTANCE_M = 50.0
-"""What a vehicle must have driven before its constants are told: poses of a standing car only wander."""
+LEAST_DRIVE_M = 20.0
+"""What a vehicle must have driven: against a camera that stands without any error, wandering poses look informative."""
 
 HUBER_SIGMAS = 1.345
 """Residuals beyond so many robust standard deviations count linearly."""
@@ -104,11 +104,11 @@ def fit_pose_lag(recordings: Recordings, sources: Sequence[Turns] | None = None)
         sources: what turned when; default :func:`camera_turns`.
 
     Returns:
-        :data:`UNKNOWN` if the scenes drive less than 50 m, if fewer than 50 windows are measured or if the best lag
+        :data:`UNKNOWN` if the scenes drive less than 20 m, if fewer than 50 windows are measured or if the best lag
         lies at the end of -50 to 150 ms.
     """
     recordings = as_written(recordings)
-    if np.nansum(np.abs(recordings["truth.distance_m"])) < LEAST_DISTANCE_M:
+    if np.nansum(np.abs(recordings["truth.distance_m"])) < LEAST_DRIVE_M:
         return UNKNOWN
     windows = _Windows(recordings, camera_turns(recordings) if sources is None else sources)
     if len(windows.turn_rad) < _LEAST_WINDOWS:

@@ -17,10 +17,13 @@ from numpy.typing import NDArray
 from mixo_env.errors import RecordingError
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.pose_lag import lag_corrected
-from mixo_env.recordings.pose_lag_fit import LEAST_DISTANCE_M, fit_pose_lags
+from mixo_env.recordings.pose_lag_fit import fit_pose_lags
 from mixo_env.recordings.schema import SPLITS, VehicleConstants
 
 logger = logging.getLogger(__name__)
+
+LEAST_DISTANCE_M = 50.0
+"""A vehicle that drove less in the training scenes gets the constants of all of them together."""
 
 LEAST_GAIN = 1.0
 """Sum of squared speed changes [m^2/s^2] below which a latency is not worth telling: it shrinks towards 0."""
