@@ -59,7 +59,7 @@ def synthetic_scene(rng: np.random.Generator, steps: int) -> dict[str, np.ndarra
         table[f"{camera}.yaw_increment_rad"][both] = value[both]
         table[f"{camera}.two_frame_yaw_increment_rad"][1:] = value[1:]
         table[f"{camera}.own_window_truth_yaw_increment_rad"][1:] = increment
-        table[f"{camera}.image_time_offset_s"][:] = -0.01
+        table[f"{camera}.image_time_offset_s"][:] = 0.0
         table[f"{camera}.own_window_s"][1:] = dt
         for name, told in (("yaw_std_rad", both), ("own_window_yaw_std_rad", tracking)):
             table[f"{camera}.{name}"][told] = (noise * quality)[told]

@@ -182,11 +182,12 @@ def test_splits_and_folds() -> None:
 
 
 def test_vehicle_constants_never_come_from_the_held_out_fold() -> None:
-    longer = RECORDINGS["truth.distance_m"].copy()
+    longer = {name: RECORDINGS[name].copy() for name in ("truth.x_m", "truth.y_m", "truth.distance_m")}
     for i, scene in enumerate(RECORDINGS.scenes):
         if scene.fold == 1:
-            longer[RECORDINGS.offsets[i] : RECORDINGS.offsets[i + 1]] *= 1.5
-    changed = RECORDINGS.replace(columns={"truth.distance_m": longer})
+            for values in longer.values():
+                values[RECORDINGS.offsets[i] : RECORDINGS.offsets[i + 1]] *= 1.5
+    changed = RECORDINGS.replace(columns=longer)
 
     def constants(recordings: Recordings, **options: Any) -> dict[str, VehicleConstants]:
         return dict(make(recordings=recordings, **options).session.recordings.manifest.vehicles)

@@ -15,6 +15,7 @@ from mixo_env.envs.replay import Lost, Previous
 from mixo_env.envs.reward import RewardName
 from mixo_env.errors import ConfigurationError
 from mixo_env.recordings.collection import Recordings
+from mixo_env.recordings.pose_lag import lag_corrected
 from mixo_env.recordings.schema import SPLITS
 
 ObservationName = Literal["paper", "rich", "dict", "pixels"]
@@ -79,7 +80,8 @@ class Settings:
         """The scenes to play and the scenes a reference may be fitted on, both with the faults asked for.
 
         The held-out ``fold`` is never fitted on, except where the recordings hold nothing else. The manifest's vehicle
-        constants come from the split "train", so another held-out fold needs its own.
+        constants come from the split "train", so another held-out fold needs its own. Their pose lag is removed: the
+        true poses of an environment, and with them its rewards, are those of the moment.
 
         Raises:
             ConfigurationError: for unknown names, or when no scene is left.
@@ -93,6 +95,7 @@ class Settings:
             from mixo_env.recordings.vehicles import with_training_constants
 
             recordings = with_training_constants(recordings, others)
+        recordings = lag_corrected(recordings)
         faults = read_faults(self.faults)
         played = inject(recordings.select(folds=folds, conditions=self.conditions), faults)
         return played, inject(recordings.select(folds=others), faults) if others else played

@@ -18,6 +18,7 @@ from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.drives import drive_hash
 from mixo_env.recordings.folds import OUT_OF_DISTRIBUTION
 from mixo_env.recordings.keyframes import at_keyframes
+from mixo_env.recordings.pose_lag import lag_corrected
 from mixo_env.recordings.store import load_recordings
 from mixo_env.recordings.truths import truths_of, with_truth
 from mixo_env.recordings.variants import as_variant
@@ -63,10 +64,11 @@ class CrossValidation:
     Scenes outside every fold (night) are left out, or are the only ones tested, by policies that learned from all folds
     (``out_of_distribution``). With fewer than two folds there is nothing to train on that is not tested as well:
     learned policies then come from the bundled recordings, and wheel scale and course offset of the vehicles stay
-    nominal.
+    nominal; their pose lag comes from their other logs.
 
     Attributes:
-        recordings: the scenes that are scored, with vehicle constants fitted on the folds that hold none of them.
+        recordings: the scenes that are scored, with vehicle constants fitted on the folds that hold none of them, and
+            true poses without the lag among those constants.
         folds: those present.
         left_out: number of scenes that are not scored.
         foreign: learned policies are fitted on the bundled recordings.
@@ -110,7 +112,8 @@ class CrossValidation:
     def training(self, fold: int) -> Recordings:
         """The scenes a learned policy is fitted on before it is tested on ``fold``.
 
-        Their vehicle constants are fitted on them alone: those they are scored with may have seen ``fold``.
+        Their vehicle constants are fitted on them alone: those they are scored with may have seen ``fold``,
+        and the pose lag would carry a little of its truth into the targets.
 
         Raises:
             PolicyError: if there is no scene that is not tested.
@@ -194,8 +197,9 @@ class CrossValidation:
         return bundled.select(scenes=names)
 
     def _at_clock(self, recordings: Recordings) -> Recordings:
-        """Recordings as policies and scores see them, at the chosen clock."""
-        return at_keyframes(recordings) if self.ground_truth == "keyframes" else recordings
+        """Recordings as policies and scores see them: poses without their lag, at the chosen clock."""
+        corrected = lag_corrected(recordings)
+        return at_keyframes(corrected) if self.ground_truth == "keyframes" else corrected
 
     def _seed_of(self, fold: int, repetition: int) -> int:
         parts = [self.seed, fold + 1] + ([repetition] if repetition else [])

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from mixo_env.fusion import least_squares_weights, mix
 from mixo_env.recordings.collection import Recordings
+from mixo_env.recordings.pose_lag import lag_corrected
 from mixo_env.recordings.schema import TRACKS
 
 FloatArray = NDArray[np.float64]
@@ -43,10 +44,11 @@ def with_fits(recordings: Recordings) -> Recordings:
 
     LINEAR is fitted once on all folds and once per fold held out; night scenes (fold -1) never take part. The reward
     scale is 1.4826 x the median absolute deviation of LINEAR's yaw-increment error, each scene predicted by the
-    weights that have not seen its fold (with a single fold: by the weights fitted on it).
+    weights that have not seen its fold (with a single fold: by the weights fitted on it). The truth of both are
+    the poses without the lag that the manifest tells of each vehicle.
     """
     folds = np.repeat([scene.fold for scene in recordings.scenes], np.diff(recordings.offsets))
-    truth = recordings["truth.yaw_increment_rad"]
+    truth = lag_corrected(recordings)["truth.yaw_increment_rad"]
     weights: dict[str, dict[str, dict[str, float]]] = {}
     scales: dict[str, float] = {}
     for track in TRACKS:

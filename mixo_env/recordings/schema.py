@@ -121,7 +121,8 @@ class VehicleConstants:
 
     wheel_scale: float = 1.0  # true distance / distance from the nominal wheel radius
     course_offset_rad: float = 0.0  # direction of travel minus ego heading
-    can_latency_s: float = 0.0  # how late the wheel messages arrive, less how late the poses are
+    can_latency_s: float = 0.0  # how late the wheel messages arrive
+    pose_lag_s: float = 0.0  # how late the written poses are; 0 where it is not known
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ import numpy as np
 
 from mixo_env.errors import RecordingError, unknown
 from mixo_env.recordings.collection import Column, Recordings
+from mixo_env.recordings.pose_lag import as_written
 from mixo_env.recordings.schema import SCHEMA_VERSION, Manifest
 from mixo_env.recordings.schema import columns as schema_columns
 
@@ -102,10 +103,12 @@ def read_columns(data: bytes) -> tuple[dict[str, Column], list[int], dict[str, s
 def save_recordings(recordings: Recordings, folder: str | Path) -> None:
     """Write ``recordings.parquet`` and ``manifest.json`` into a folder, each atomically.
 
-    The scenes' value hashes are computed here. Columns other than those of the schema raise :class:`RecordingError`.
+    The scenes' value hashes are computed here. Poses are saved as they were written, whatever lag was removed from
+    them; columns other than those of the schema raise :class:`RecordingError`.
     """
     import msgspec
 
+    recordings = as_written(recordings)
     folder = Path(folder)
     _check_columns(
         {name: recordings[name].dtype.name for name in recordings.column_names}, recordings.manifest, "cannot save"

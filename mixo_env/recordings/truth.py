@@ -31,17 +31,21 @@ def step_truth(tracks: Mapping[str, CameraTrack], rounds: Rounds) -> dict[str, N
     x, y, yaw = (at_close(name).astype(np.float64) for name in ("x_m", "y_m", "yaw_rad"))
     increment = wrap_angle_rad(np.diff(yaw))
     yaw = yaw[0] + np.concatenate([[0.0], np.cumsum(increment)])
-    middle = 0.5 * (yaw[1:] + yaw[:-1])
-    dx, dy = np.diff(x), np.diff(y)
-    chord = np.copysign(np.hypot(dx, dy), dx * np.cos(middle) + dy * np.sin(middle))
     return {
         "is_keyframe": at_close("is_keyframe"),
         "truth.x_m": x,
         "truth.y_m": y,
         "truth.yaw_rad": yaw,
         "truth.yaw_increment_rad": np.concatenate([[np.nan], increment]),
-        "truth.distance_m": np.concatenate([[np.nan], chord]),
+        "truth.distance_m": np.concatenate([[np.nan], signed_chords(x, y, yaw)]),
     }
+
+
+def signed_chords(x_m: FloatArray, y_m: FloatArray, yaw_rad: FloatArray) -> FloatArray:
+    """Distances ``(n - 1,)`` [m] between ``(n,)`` poses, negative against the mean heading [rad, unwrapped]."""
+    middle = 0.5 * (yaw_rad[1:] + yaw_rad[:-1])
+    dx, dy = np.diff(x_m), np.diff(y_m)
+    return np.copysign(np.hypot(dx, dy), dx * np.cos(middle) + dy * np.sin(middle))
 
 
 def exact_truth(exact: ExactPoses, rounds: Rounds) -> dict[str, FloatArray]:

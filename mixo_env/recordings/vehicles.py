@@ -1,7 +1,8 @@
-"""Constants of each vehicle, fitted on recordings: how far its wheels really roll, how late they tell, where it heads.
+"""Constants of each vehicle, fitted on recordings: how late its poses are, how far its wheels roll, where it heads.
 
 On real data they leave an error of 0.3 to 0.7 m in scenes of 100 m even with perfect yaw. They must come from training
-folds: the poses of a scene that is scored may check them, never correct them.
+folds: the poses of a scene that is scored may check them, never correct them. The pose lag comes first, because all
+others are read off poses from which it is removed.
 """
 
 from __future__ import annotations
@@ -15,6 +16,8 @@ from numpy.typing import NDArray
 
 from mixo_env.errors import RecordingError
 from mixo_env.recordings.collection import Recordings
+from mixo_env.recordings.pose_lag import lag_corrected
+from mixo_env.recordings.pose_lag_fit import fit_pose_lags
 from mixo_env.recordings.schema import SPLITS, VehicleConstants
 
 logger = logging.getLogger(__name__)
@@ -27,20 +30,25 @@ LEAST_GAIN = 1.0
 
 
 def fit_vehicle_constants(training: Recordings, vehicles: Iterable[str]) -> dict[str, VehicleConstants]:
-    """Wheel scale, latency and course offset by vehicle.
+    """Pose lag, wheel scale, latency and course offset by vehicle.
 
     A distance that is tau late lacks what the speed gained meanwhile, tau (v_k - v_{k-1}). Scale and latency are fitted
     together: the scale so that the sum of all distances is true, the latency so that what is then missing in a step
-    does not go with the gain in speed. (It is the wheels' latency less that of the poses.) The course offset turns the
-    recorded chords, laid along the true mean heading of each step, onto the true ones with the least squared distance.
+    does not go with the gain in speed. The course offset turns the recorded chords, laid along the true mean heading of
+    each step, onto the true ones with the least squared distance. "True" are the poses without their lag.
 
     Args:
         training: recordings of the training folds.
-        vehicles: names wanted; one that hardly drives in ``training`` gets the constants of all vehicles together.
+        vehicles: names wanted; one that drives less than 50 m in ``training`` gets the constants of all vehicles
+            together, but for the pose lag, which is its own or 0.
 
     Raises:
         RecordingError: the training scenes do not move.
     """
+    vehicles = tuple(dict.fromkeys(vehicles))
+    lags_s = fit_pose_lags(training, (*vehicles, *(scene.vehicle for scene in training.scenes)))
+    lagging = {vehicle: VehicleConstants(pose_lag_s=lag_s) for vehicle, lag_s in lags_s.items()}
+    training = lag_corrected(training.replace(replace(training.manifest, vehicles=lagging)))
     first = np.zeros(len(training["step"]), dtype=np.bool_)
     first[training.offsets[:-1]] = True
     rows = np.flatnonzero(~first)
@@ -58,7 +66,9 @@ def fit_vehicle_constants(training: Recordings, vehicles: Iterable[str]) -> dict
             f"the training scenes drive {true_m.sum():.1f} m; vehicle constants need {LEAST_DISTANCE_M:g}: add scenes"
         )
 
-    def fit(of: NDArray[np.bool_]) -> VehicleConstants:
+    def fit(name: str) -> VehicleConstants:
+        own = owner == name
+        of = own if true_m[own].sum() >= LEAST_DISTANCE_M else everyone
         recorded, gained, true = distance_m[of], gained_mps[of], true_m[of]
         scale, latency_s = np.linalg.solve(
             [[recorded.sum(), gained.sum()], [gained @ recorded, max(gained @ gained, LEAST_GAIN)]],
@@ -68,12 +78,10 @@ def fit_vehicle_constants(training: Recordings, vehicles: Iterable[str]) -> dict
             wheel_scale=float(scale),
             course_offset_rad=float(np.angle(np.sum(recorded * in_car[of]))),
             can_latency_s=float(latency_s),
+            pose_lag_s=lags_s[name],
         )
 
-    return {
-        name: fit(own if true_m[own := owner == name].sum() >= LEAST_DISTANCE_M else everyone)
-        for name in dict.fromkeys(vehicles)
-    }
+    return {name: fit(name) for name in vehicles}
 
 
 def speed_gain_mps(recordings: Recordings) -> NDArray[np.float64]:
@@ -108,12 +116,12 @@ def with_held_out_constants(recordings: Recordings) -> Recordings:
 
     Every vehicle is entered once per fold it drives in, as ``"<vehicle> in fold <fold>"``, with constants from the
     other folds (a night scene, in fold -1: from all folds). With fewer than two folds there is nothing to fit them on
-    that is not scored: they stay nominal.
+    that is not scored: they stay nominal, but for the pose lag, which comes from the vehicle's other logs (it is
+    entered as ``"<vehicle> but <log>"``). A vehicle that drives nowhere else has lag 0, and the log says so.
     """
     folds = sorted({scene.fold for scene in recordings.scenes if scene.fold >= 0})
     if len(folds) < 2:
-        nominal = {scene.vehicle: VehicleConstants() for scene in recordings.scenes}
-        return recordings.replace(replace(recordings.manifest, vehicles=nominal))
+        return _with_lags_of_other_logs(recordings)
     constants: dict[str, VehicleConstants] = {}
     for fold in {scene.fold for scene in recordings.scenes}:
         names = [scene.vehicle for scene in recordings.scenes if scene.fold == fold]
@@ -122,6 +130,18 @@ def with_held_out_constants(recordings: Recordings) -> Recordings:
     scenes = tuple(replace(scene, vehicle=f"{scene.vehicle} in fold {scene.fold}") for scene in recordings.scenes)
     manifest = replace(recordings.manifest, scenes=scenes, vehicles=constants)
     return recordings.replace(manifest)
+
+
+def _with_lags_of_other_logs(recordings: Recordings) -> Recordings:
+    constants: dict[str, VehicleConstants] = {}
+    for vehicle, log in dict.fromkeys((scene.vehicle, scene.log) for scene in recordings.scenes):
+        others = [scene.name for scene in recordings.scenes if scene.vehicle == vehicle and scene.log != log]
+        lag_s = fit_pose_lags(recordings.select(scenes=others), [vehicle])[vehicle] if others else 0.0
+        if not others:
+            logger.info("pose lag of vehicle %s stays 0: it drives in no other log than %s", vehicle, log)
+        constants[f"{vehicle} but {log}"] = VehicleConstants(pose_lag_s=lag_s)
+    scenes = tuple(replace(scene, vehicle=f"{scene.vehicle} but {scene.log}") for scene in recordings.scenes)
+    return recordings.replace(replace(recordings.manifest, scenes=scenes, vehicles=constants))
 
 
 def _fitted_or_nominal(

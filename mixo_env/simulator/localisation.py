@@ -1,7 +1,8 @@
 """The car's own localisation: the poses that are written, close to the truth but not equal to it.
 
 Real poses wander by centimetres and hundredths of a degree, only while the car moves, and come some 30 ms late (they
-lag behind the gyro of the same car by that much). Magnitudes: CAN bus and poses of four real scenes.
+lag behind the gyro of the same car by that much): a property of the car's computer, the same in all of its drives.
+Magnitudes: CAN bus and poses of four real scenes.
 """
 
 from __future__ import annotations

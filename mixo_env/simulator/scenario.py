@@ -48,7 +48,7 @@ class LogPlan:
         rig: true and written calibrations.
         sensors: constants of the CAN bus.
         course_offset_rad: course minus heading when driving straight on.
-        localisation_lag_s: how late written poses are.
+        localisation_lag_s: how late written poses are; the same in every log of a car.
         scenes: in time order.
     """
 
@@ -75,6 +75,7 @@ def plan_logs(config: SimulationConfig) -> tuple[LogPlan, ...]:
     weathers = _dealt({"rain": config.rain, "night": config.night}, config.logs, "day", generator(config, "weather"))
     textures = _dealt({"low": config.low_texture}, config.logs, "usual", generator(config, "texture"))
     situations = _dealt(config.situations.by_name(), config.scenes, "ordinary", generator(config, "situations"))
+    lag_s = {car: generator(config, "lag", number).uniform(*LAG_RANGE_S) for number, car in enumerate(_CARS)}
     logs = []
     for number in range(config.logs):
         rng = generator(config, "log", number)
@@ -102,7 +103,7 @@ def plan_logs(config: SimulationConfig) -> tuple[LogPlan, ...]:
                 rig=draw_rig(rng, config.width, config.height),
                 sensors=draw_sensors(rng, radius_m),
                 course_offset_rad=course_rad + _COURSE_VARIATION_RAD * rng.uniform(-1.0, 1.0),
-                localisation_lag_s=rng.uniform(*LAG_RANGE_S),
+                localisation_lag_s=lag_s[vehicle],
                 scenes=scenes,
             )
         )
