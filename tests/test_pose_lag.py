@@ -139,7 +139,7 @@ def test_a_policy_does_not_see_the_lag_but_is_rewarded_without_it():
         seen.append([observation])
         rewards.append([])
         for k in range(30):
-            action = np.full(env.action_space.shape, np.sin(k), np.float32)
+            action = np.float32(np.sin(k)) * np.ones_like(env.action_space.sample())
             observation, reward, *_ = env.step(action)
             seen[-1].append(observation)
             rewards[-1].append(reward)
