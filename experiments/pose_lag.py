@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from mixo_env.errors import DatasetError, MixoError
 from mixo_env.leaderboard.crossvalidation import CrossValidation
-from mixo_env.leaderboard.evaluation import Course, Motion, Truth, with_wheels
+from mixo_env.leaderboard.evaluation import Course, Motion, with_wheels
 from mixo_env.nuscenes.can_bus import read_can_bus
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.keyframes import at_keyframes
@@ -77,7 +77,7 @@ class WithWrongLag(CrossValidation):
         return moved(super().training(fold), self._seconds)
 
 
-def scores(recordings: Recordings, seconds: float, truth: Truth = "truth") -> dict[str, tuple[float, float]]:
+def scores(recordings: Recordings, seconds: float, truth: str = "truth") -> dict[str, tuple[float, float]]:
     """Row -> rotation RTE [deg/m] and ATE [deg] in track VISION, and of the exact yaw where there is one."""
     protocol = WithWrongLag(recordings, seconds)
     course = Course(protocol.recordings, truth)
@@ -149,7 +149,7 @@ class PoseLagStudy:
         recordings = load_recordings(self.recordings)
         for vehicle, found in lags_by_source(recordings).items():
             print(f"{vehicle:12s}" + "   ".join(f"{source}: {_shown(lag)}" for source, lag in found.items()))
-        cases: tuple[tuple[float, Truth], ...] = ((-0.010, "truth"), (0.0, "truth"), (0.010, "truth"), (0.0, "written"))
+        cases: tuple[tuple[float, str], ...] = ((-0.010, "truth"), (0.0, "truth"), (0.010, "truth"), (0.0, "written"))
         tables = [scores(recordings, seconds, truth) for seconds, truth in cases]
         print("\ndeg/m (ATE deg)     -10 ms           as fitted        +10 ms           as written")
         for name in tables[0]:

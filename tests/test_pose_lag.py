@@ -19,6 +19,7 @@ from mixo_env.recordings.pose_curve import Curve
 from mixo_env.recordings.pose_lag import as_written, lag_corrected
 from mixo_env.recordings.schema import VehicleConstants
 from mixo_env.recordings.store import load_recordings, save_recordings
+from mixo_env.recordings.truths import for_learning
 from tests.late_poses import CAMERAS, late_recordings
 
 LAG_S = 0.03
@@ -145,6 +146,15 @@ def test_a_policy_does_not_see_the_lag_but_is_rewarded_without_it():
             rewards[-1].append(reward)
     np.testing.assert_array_equal(*seen)
     assert np.sum(rewards[1]) > 0.1 * np.sum(rewards[0])  # the experts are exact: what is left is interpolation
+
+
+def test_what_a_policy_learns_from_is_corrected_once():
+    protocol = CrossValidation(late_recordings(LAG_S, scenes=8))
+    targets = protocol.training(0)["truth.yaw_increment_rad"]
+    learnt_from = for_learning(protocol.training(0))
+    for again in (learnt_from, lag_corrected(learnt_from)):
+        assert again["truth.yaw_increment_rad"].tobytes() == targets.tobytes()
+    assert learnt_from.manifest.reward_scale_rad["VISION"] < 5e-5  # the experts are exact
 
 
 def test_fits_of_the_manifest_know_the_lag():

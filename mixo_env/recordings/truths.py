@@ -59,12 +59,14 @@ def for_learning(training: Recordings) -> Recordings:
     """What a policy is fitted on: training scenes without exact and raw poses, in arrays of their own.
 
     The statistics of the manifest (LINEAR's weights, the scale of the reward) are those of these scenes alone; as
-    recorded they have seen every scene.
+    recorded they have seen every scene. Its pose lags are 0: with what was written hidden, nothing says any more that
+    they are removed, and an environment made of these scenes would remove them again.
     """
     columns = {
         name: training[name].copy() for name in training.column_names if not _hidden(name, training.manifest.imported)
     }
-    manifest = replace(training.manifest, parameters={}, linear_weights={}, reward_scale_rad={})
+    vehicles = {name: replace(constants, pose_lag_s=0.0) for name, constants in training.manifest.vehicles.items()}
+    manifest = replace(training.manifest, vehicles=vehicles, parameters={}, linear_weights={}, reward_scale_rad={})
     return with_fits(Recordings(manifest, columns))
 
 
