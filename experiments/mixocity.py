@@ -16,6 +16,7 @@ from typing import Literal, get_args
 import mixo_env
 from mixo_env.errors import DatasetError, MixoError
 from mixo_env.experts.monocular.config import MonocularConfig
+from mixo_env.leaderboard.conditions import SITUATIONS
 from mixo_env.nuscenes.tables import open_dataset
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.fitting import with_fits
@@ -60,6 +61,11 @@ def planned_folds() -> dict[str, int]:
         for scene in log.scenes
     ]
     return {scene.name: fold for scene, fold in zip(scenes, folds_by_log(scenes), strict=True)}
+
+
+def planned_situations() -> dict[str, str]:
+    """Scene -> what is staged in it."""
+    return {scene.name: scene.situation for log in plan_logs(CONFIG) for scene in log.scenes}
 
 
 @dataclass(frozen=True)
@@ -124,9 +130,10 @@ class Build:
 
 def with_planned_folds(recordings: Recordings) -> Recordings:
     """The recordings with the folds of all 104 scenes, even if they hold but some: nothing leaks between the two."""
-    fold_of = planned_folds()
+    fold_of, staged = planned_folds(), planned_situations()
     scenes = tuple(replace(scene, fold=fold_of[scene.name]) for scene in recordings.scenes)
-    recordings = recordings.replace(replace(recordings.manifest, scenes=scenes))
+    parameters = recordings.manifest.parameters | {SITUATIONS: {scene.name: staged[scene.name] for scene in scenes}}
+    recordings = recordings.replace(replace(recordings.manifest, scenes=scenes, parameters=parameters))
     return with_fits(recordings.replace(replace(recordings.manifest, vehicles=training_constants(recordings))))
 
 

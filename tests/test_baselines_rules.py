@@ -106,8 +106,12 @@ def test_huber_resists_an_outlier_and_an_expert_never_seen() -> None:
 
 def test_multicamera_gt_chooses_among_available_cameras_only() -> None:
     truth = {"truth_yaw_rate": [0.45]}
-    assert MulticameraGT().act(observation([0.1, 0.9, 0.5], **truth)).tolist() == [[1, 0, 0]]
-    assert MulticameraGT().act(observation([0.1, 0.5, 0.5], [1, 0, 1], **truth)).tolist() == [[1, 0, 0]]
+    oracle = MulticameraGT()
+    oracle.start(("CAM_FRONT", "CAM_BACK", "INERTIAL_POSE"))
+    assert oracle.act(observation([0.1, 0.9, 0.5], **truth)).tolist() == [[1, 0, 0]]
+    assert oracle.act(observation([0.1, 0.5, 0.5], [1, 0, 1], **truth)).tolist() == [[1, 0, 0]]
+    oracle.start(("CAM_FRONT", "CAM_BACK", "DROID"))  # an imported odometry is a camera
+    assert oracle.act(observation([0.1, 0.9, 0.5], **truth)).tolist() == [[0, 0, 1]]
     assert OracleAll().act(observation([0.1, 0.9, 0.5], **truth)).tolist() == [[0, 0, 1]]
 
 

@@ -89,7 +89,7 @@ def test_json_is_plain_and_complete(board: Leaderboard) -> None:
 
 def test_scene_lines_average_to_the_table(board: Leaderboard) -> None:
     lines = list(csv.DictReader(io.StringIO(exports.to_csv(board))))
-    assert len(lines) == 2 * len(ROWS) * 2 * len(board.recordings)
+    assert len(lines) == 2 * len(ROWS) * len(board.courses) * len(board.recordings)
     for row in board.tables[0].rows:
         mine = [x for x in lines if (x["track"], x["policy"], x["truth"]) == ("VISION", row.run.name, "truth")]
         score = row.scores["truth"]

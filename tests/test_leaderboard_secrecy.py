@@ -20,6 +20,7 @@ from mixo_env.policies.linear import Linear
 from mixo_env.policies.policy import Observation, Policy, Weights
 from mixo_env.policies.robust import Mean
 from mixo_env.recordings.collection import Recordings
+from mixo_env.recordings.pose_lag import lag_corrected
 from mixo_env.recordings.truths import for_learning
 from tests.synthetic import synthetic_recordings
 
@@ -295,3 +296,15 @@ def test_statistics_of_the_manifest_are_those_of_the_training_scenes(recordings:
     assert told.reward_scale_rad == alone.reward_scale_rad
     assert told.linear_weights == alone.linear_weights
     assert told.reward_scale_rad != with_fits(recordings).manifest.reward_scale_rad
+
+
+def test_the_lag_is_removed_from_training_truth_once(recordings: Recordings) -> None:
+    vehicles = {name: replace(c, pose_lag_s=0.03) for name, c in recordings.manifest.vehicles.items()}
+    late = recordings.replace(replace(recordings.manifest, vehicles=vehicles))
+    corrected = lag_corrected(late)["truth.yaw_rad"]
+    assert not np.array_equal(corrected, late["truth.yaw_rad"])
+    for given in (late, lag_corrected(late)):
+        training = for_learning(given)
+        np.testing.assert_array_equal(training["truth.yaw_rad"], corrected)
+        np.testing.assert_array_equal(lag_corrected(training)["truth.yaw_rad"], corrected)
+        assert not any("written" in name for name in training.column_names)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from mixo_env.geometry import FloatArray
 from mixo_env.recordings.collection import Recordings
+from mixo_env.recordings.truth import exact_own_window_increments
 from mixo_env.recordings.truths import with_truth
 
 MOVING_MPS = 0.2
@@ -66,9 +67,9 @@ def firing_order(recordings: Recordings, truth: str) -> FiringOrder | None:
     if not cameras:
         return None
     judged = with_truth(recordings, truth)
-    carried = _errors(judged, "yaw_increment_rad", ["truth.yaw_increment_rad"] * len(cameras))
-    own_truth = [f"{camera}.own_window_truth_yaw_increment_rad" for camera in cameras]
-    own = _errors(judged, "own_window_yaw_increment_rad", own_truth)
+    turn = judged["truth.yaw_increment_rad"]
+    carried = np.stack([judged[f"{camera}.yaw_increment_rad"] - turn for camera in cameras], axis=1)
+    own = np.stack([_own_error(judged, camera, truth) for camera in cameras], axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
         moving = np.nan_to_num(np.abs(judged["truth.distance_m"]) / judged["dt_s"]) >= MOVING_MPS
     steps = moving & np.isfinite(carried).all(axis=1) & np.isfinite(own).all(axis=1)
@@ -77,10 +78,13 @@ def firing_order(recordings: Recordings, truth: str) -> FiringOrder | None:
     return FiringOrder(cameras, int(steps.sum()), *(_told(errors[steps]) for errors in (carried, own)))
 
 
-def _errors(recordings: Recordings, name: str, truths: list[str]) -> FloatArray:
-    """``(rows, cameras)`` a column of every camera minus its truth."""
-    pairs = zip(recordings.manifest.cameras, truths, strict=True)
-    return np.stack([recordings[f"{camera}.{name}"] - recordings[truth] for camera, truth in pairs], axis=1)
+def _own_error(recordings: Recordings, camera: str, truth: str) -> FloatArray:
+    """``(rows,)`` yaw error of a camera over its own windows, against the truth at its own times."""
+    if truth == "exact":
+        scenes = [exact_own_window_increments(recordings.rows(i), camera) for i in range(len(recordings))]
+        return recordings[f"{camera}.own_window_yaw_increment_rad"] - np.concatenate(scenes)
+    own_truth = recordings[f"{camera}.own_window_truth_yaw_increment_rad"]
+    return recordings[f"{camera}.own_window_yaw_increment_rad"] - own_truth
 
 
 def _told(errors: FloatArray) -> Told:

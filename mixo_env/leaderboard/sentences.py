@@ -16,6 +16,7 @@ TRUTH_NAMES = {
     "truth": "the poses without their lag",
     "written": "the poses as written",
 }
+"""Where no pose has a lag, ``truth`` is what was written, and there is no column of that name."""
 
 LEGEND = (
     "Lower is better. RTE: pooled relative error, with its 95 % interval; letters: rows that cannot be told apart "
@@ -39,9 +40,8 @@ def conventions(board: Leaderboard) -> list[str]:
         f"Data {recordings.manifest.data_version}: {size}{clock}"
         + (f", {count_of(protocol.left_out, 'scene')} outside the folds left out" if protocol.left_out else "")
         + f"; seed {protocol.seed}{seeds}.",
-        f"Alignment: none, the first pose is the truth's. Headline truth: {TRUTH_NAMES[board.headline]}"
-        + "".join(f"; {truth}: {TRUTH_NAMES[truth]}" for truth in board.courses if truth != board.headline)
-        + ". A row that reads the truth chooses by the one that scores it.",
+        f"Alignment: none, the first pose is the truth's. {_truths(board)} A row that reads the truth chooses by the "
+        "one that scores it.",
         f"RTE: mean over all pieces of path, starts 1 m apart; pieces (scenes) per length: {samples}.",
         f"{intervals} {_folds(board)}",
     ]
@@ -59,6 +59,13 @@ def conventions(board: Leaderboard) -> list[str]:
     if board.logs < RANKING_LOGS:
         lines.append(f"{size}: enough to see that everything works, claims no ranking (takes {RANKING_LOGS} logs).")
     return lines
+
+
+def _truths(board: Leaderboard) -> str:
+    """The headline's truth, and the others."""
+    names = TRUTH_NAMES if "written" in board.courses else TRUTH_NAMES | {"truth": TRUTH_NAMES["written"]}
+    others = "".join(f"; {truth}: {names[truth]}" for truth in board.courses if truth != board.headline)
+    return f"Headline truth: {names[board.headline]}{others}."
 
 
 def _folds(board: Leaderboard) -> str:

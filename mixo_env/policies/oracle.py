@@ -5,12 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from mixo_env.policies.policy import Observation, Policy, Weights
+from mixo_env.recordings.schema import INERTIAL_EXPERTS
 
 
 class MulticameraGT(Policy):
     """The camera whose increment is nearest the truth (eq. 2 as a policy; the paper's row of this name).
 
-    Only cameras with an increment of their own can be chosen; when none has one, any of them holds the substitute.
+    An imported odometry counts as a camera. Only those with an increment of their own can be chosen; when none has one,
+    any of them holds the substitute.
     """
 
     name = "MULTICAMERA GT"
@@ -18,10 +20,10 @@ class MulticameraGT(Policy):
 
     def act(self, observation: Observation) -> Weights:
         """One-hot rows ``(batch, experts)``."""
-        cameras = observation["matches"].shape[1]
-        error = np.abs(observation["yaw_rates"] - observation["truth_yaw_rate"])[:, :cameras]
-        error = np.where(observation["available"][:, :cameras] > 0, error, np.inf)
-        return np.eye(observation["yaw_rates"].shape[1])[np.argmin(error, axis=1)]
+        error = np.abs(observation["yaw_rates"] - observation["truth_yaw_rate"])
+        visual = np.array([expert not in INERTIAL_EXPERTS for expert in self.experts])
+        error = np.where((observation["available"] > 0) & visual, error, np.inf)
+        return np.eye(error.shape[1])[np.argmin(error, axis=1)]
 
 
 class OracleAll(Policy):

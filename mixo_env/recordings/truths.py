@@ -13,6 +13,7 @@ import numpy as np
 from mixo_env.errors import ConfigurationError, unknown
 from mixo_env.recordings.collection import Column, Recordings
 from mixo_env.recordings.fitting import with_fits
+from mixo_env.recordings.pose_lag import lag_corrected
 
 TRUTHS = ("exact", "truth", "written")
 """The headline is the first that exists."""
@@ -56,17 +57,17 @@ def with_truth(recordings: Recordings, truth: str) -> Recordings:
 
 
 def for_learning(training: Recordings) -> Recordings:
-    """What a policy is fitted on: training scenes without exact and raw poses, in arrays of their own.
+    """What a policy is fitted on: training scenes with poses free of lag and no others, in arrays of their own.
 
-    The statistics of the manifest (LINEAR's weights, the scale of the reward) are those of these scenes alone; as
-    recorded they have seen every scene. Its pose lags are 0: with what was written hidden, nothing says any more that
-    they are removed, and an environment made of these scenes would remove them again.
+    Exact and raw poses are taken out, and the manifest tells of no lag any more, lest it be removed twice. Its
+    statistics (LINEAR's weights, the scale of the reward) are those of these scenes alone; as recorded they have seen
+    every scene.
     """
-    columns = {
-        name: training[name].copy() for name in training.column_names if not _hidden(name, training.manifest.imported)
-    }
-    vehicles = {name: replace(constants, pose_lag_s=0.0) for name, constants in training.manifest.vehicles.items()}
-    manifest = replace(training.manifest, vehicles=vehicles, parameters={}, linear_weights={}, reward_scale_rad={})
+    corrected = training if "written.x_m" in training else lag_corrected(training)
+    before = training.manifest
+    columns = {name: corrected[name].copy() for name in corrected.column_names if not _hidden(name, before.imported)}
+    vehicles = {name: replace(constants, pose_lag_s=0.0) for name, constants in before.vehicles.items()}
+    manifest = replace(before, vehicles=vehicles, parameters={}, linear_weights={}, reward_scale_rad={})
     return with_fits(Recordings(manifest, columns))
 
 
