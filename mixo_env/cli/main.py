@@ -10,8 +10,9 @@ from typing import ClassVar, Protocol
 DESCRIPTION = """MixoOdometry: how much to trust each camera of a car's rig.
 
 `mixo benchmark` needs nothing; `mixo COMMAND --help` shows worked examples. Exit codes: 0 good, 1 something wrong in
-the data, 2 wrong usage. `-v` says more about what happens, `--version` which version this is. Completion by the tab key:
-`source <(mixo --tyro-print-completion bash)` (or zsh, tcsh).
+the data, 2 wrong usage. `-v` says more about what happens, `--version` which version this is.
+
+Completion by the tab key: `source <(mixo --tyro-print-completion bash)`, or zsh.
 """
 
 
