@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -64,6 +65,57 @@ def test_reinforcement_finds_the_exact_expert(one_is_right: Recordings) -> None:
     agent.fit(training, "CONSUMER", seed=0)  # with the scale of the reward given above: LINEAR has no error here
     agent.fitted_on = drives(training)
     assert yaw_rmse_deg(agent, one_is_right.select(split="test"), "CONSUMER") < 0.1
+
+
+@pytest.mark.parametrize(
+    "create",
+    [
+        lambda: Mixo(epochs=1, min_updates=30),
+        lambda: PPO(steps=1024, environments=8, rollout=64, batch=256),
+    ],
+    ids=["MIXO", "PPO"],
+)
+def test_the_seed_alone_decides_what_is_learned(create: Callable[[], Policy]) -> None:
+    recordings = synthetic_recordings(0, scenes=4, steps=30)
+    first, again, other = create(), create(), create()
+    for policy, seed in ((first, 3), (again, 3), (other, 4)):
+        policy.fit(recordings, "CONSUMER", seed=seed)
+    learned, same, different = (policy.tensors() for policy in (first, again, other))
+    assert all(np.array_equal(values, same[name]) for name, values in learned.items())
+    matrices = [name for name, values in learned.items() if values.ndim == 2]
+    assert len(matrices) == 3
+    assert all((learned[name] != different[name]).mean() > 0.9 for name in matrices)
+
+
+def test_both_dropouts_act_while_training_and_none_afterwards() -> None:
+    import torch
+    from torch import nn
+
+    gate = Mixo(hidden=(40, 30), dropout=(0.3, 0.6))
+    network = gate._build(6, 5)
+    kinds = [nn.Linear, nn.ReLU, nn.Dropout, nn.Linear, nn.ReLU, nn.Dropout, nn.Linear]
+    assert [type(layer) for layer in network] == kinds
+    assert [(layer.in_features, layer.out_features) for layer in network if isinstance(layer, nn.Linear)] == [
+        (6, 40),
+        (40, 30),
+        (30, 5),
+    ]
+    torch.manual_seed(0)
+    network.train()
+    for share, layer in zip((0.3, 0.6), (network[2], network[5]), strict=True):
+        kept = layer(torch.ones(100, 400))
+        assert abs(float((kept == 0).float().mean()) - share) < 0.02
+        torch.testing.assert_close(kept.max(), torch.tensor(1 / (1 - share)))
+    assert not torch.equal(network(torch.ones(1, 6)), network(torch.ones(1, 6)))
+    network.eval()
+    assert torch.equal(network(torch.ones(1, 6)), network(torch.ones(1, 6)))
+
+
+def test_the_papers_gate_drops_a_tenth_after_either_hidden_layer() -> None:
+    from torch import nn
+
+    network = Mixo()._build(6, 5)
+    assert [layer.p for layer in network if isinstance(layer, nn.Dropout)] == [0.1, 0.1]
 
 
 def test_kept_matrices_act_as_the_trained_model() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import subprocess
 import sys
 import tracemalloc
@@ -15,9 +16,10 @@ import pytest
 
 from docs._pages import environment_page
 from mixo_env import fusion
+from mixo_env.envs.actions import ActionRule
 from mixo_env.envs.faults import Fault, inject, read_faults
 from mixo_env.envs.observation import AWAKE, RICH
-from mixo_env.envs.stepping import half_turn, power_of_e
+from mixo_env.envs.stepping import LARGEST_EXPONENT, half_turn, power_of_e
 from mixo_env.errors import ConfigurationError, MixoError, RecordingError
 from mixo_env.experts.expert import State
 from mixo_env.metrics.absolute import absolute_errors_se2, scene_absolute
@@ -41,9 +43,19 @@ def increments(scene: str, recordings: Recordings = RECORDINGS) -> np.ndarray:
     return np.stack([np.where(np.isfinite(v), v, inertial) for v in votes], axis=-1)[1:].astype(np.float64)
 
 
+def test_no_logit_is_beyond_the_series() -> None:
+    action = np.array([1.0, -1.0], np.float32)
+    rule = ActionRule("softmax", 2, raw_scale=4.0)
+    assert np.abs(rule.scale * action).max() <= LARGEST_EXPONENT
+    numbers = rule.read(action, None)
+    np.testing.assert_allclose(
+        rule.weights(numbers, np.ones((1, 2), np.bool_))[0, 0], 1 / (1 + math.exp(-10.0)), rtol=1e-15
+    )
+
+
 def test_series_are_exact_to_the_last_bits() -> None:
-    for x in np.linspace(-5, 5, 400):
-        assert abs(power_of_e(x) / np.exp(x) - 1) < 1e-14
+    for x in np.linspace(-LARGEST_EXPONENT, LARGEST_EXPONENT, 4001):
+        assert abs(power_of_e(x) / math.exp(x) - 1) < 1e-14
     for angle in np.concatenate([np.linspace(-0.6, 0.6, 200), [2.0, -3.0, 7.0]]):
         np.testing.assert_allclose(half_turn(angle), (np.cos(angle / 2), np.sin(angle / 2)), atol=2e-16, rtol=2e-16)
 

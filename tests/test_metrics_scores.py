@@ -142,6 +142,24 @@ def test_interval_covers_the_mean_about_as_often_as_it_says():
     assert 0.88 <= inside / 200 <= 0.99
 
 
+def test_interval_leaves_out_five_percent_by_default():
+    """Many equal groups of one sample: the resampled mean is normal, of standard deviation sigma / sqrt(groups)."""
+    values = np.linspace(-1.0, 1.0, 2000)
+    for confidence, normal_quantile in ((0.95, 1.959964), (0.90, 1.644854), (0.5, 0.674490)):
+        chosen = {} if confidence == 0.95 else {"confidence": confidence}
+        interval = interval_over_groups(values, np.arange(2000), **chosen)
+        expected = normal_quantile * values.std() / np.sqrt(2000)
+        assert interval.confidence == confidence
+        np.testing.assert_allclose([-interval.low, interval.high], expected, rtol=0.04)
+
+
+def test_paired_difference_has_the_interval_of_its_differences():
+    rng = np.random.default_rng(8)
+    a, b, groups = rng.normal(size=60), rng.normal(size=60), np.repeat(np.arange(12), 5)
+    assert paired_difference(a, b, groups).difference == interval_over_groups(a - b, groups)
+    assert paired_difference(a, b, groups).difference.confidence == 0.95
+
+
 def test_interval_resamples_groups_not_samples():
     groups = np.repeat(["a", "b"], 500)
     interval = interval_over_groups(np.where(groups == "a", 1.0, 3.0), groups)

@@ -8,12 +8,13 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from mixo_env.envs.stepping import LARGEST_EXPONENT
 from mixo_env.errors import ConfigurationError
 from mixo_env.fusion import project_to_simplex
 
 Weighting = Literal["softmax", "simplex", "raw", "select"]
 
-LOGIT_SCALE = 5.0
+LOGIT_SCALE = LARGEST_EXPONENT
 """``weights="softmax"``: logits = 5 x action, so that one expert can outweigh another by e^10."""
 
 

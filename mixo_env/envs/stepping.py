@@ -85,9 +85,13 @@ CAP = 10.0
 """Largest error that counts in a reward, in units of sigma_0 (yaw) or metres (position)."""
 
 
+LARGEST_EXPONENT = 5.0
+"""Up to here :func:`power_of_e` is exact; logits, LOGIT_SCALE times a number in [-1, 1], never go beyond."""
+
+
 @compiled
 def power_of_e(x: float) -> float:
-    """e^x for abs(x) <= 5, relative error below 1e-14: e^(x/16) by series, squared four times."""
+    """e^x for abs(x) <= LARGEST_EXPONENT, relative error below 1e-14: e^(x/16) by series, squared four times."""
     t = 0.0625 * x
     e = 1 / 40320 + t * (1 / 362880 + t * (1 / 3628800 + t * (1 / 39916800 + t * (1 / 479001600))))
     e = 1 / 24 + t * (1 / 120 + t * (1 / 720 + t * (1 / 5040 + t * e)))
