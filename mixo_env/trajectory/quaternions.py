@@ -91,7 +91,7 @@ def _likely(table: NumberTable) -> Order:
     columns = table.values[:, 4:8]
     wander = _wandering(columns, table.values[:, 1:4])
     for order, other in _OTHER.items():
-        if wander and wander[order] < _STEADY and wander[order] * _CLEARLY < wander[other]:
+        if wander and wander[order] < _STEADY and wander[other] > max(_STEADY, _CLEARLY * wander[order]):
             return order
     # Programs begin at the identity.
     start = np.abs(columns[0]) > 1.0 - _IDENTITY
