@@ -110,6 +110,14 @@ def test_matrices_are_read_with_and_without_first_column(tmp_path, name):
     assert trajectory.counted == ("frames" in name)
 
 
+@pytest.mark.filterwarnings("error")
+def test_rotations_with_tiny_numbers_are_no_warning(tmp_path):
+    rows = "0 1 0 0 1e-320 1 0 0 0 0 1 0\n1 0 0 0 1e-320 1 0 0 0 0 1 0\n"
+    (tmp_path / "a.txt").write_text(rows)
+    with pytest.raises(TrajectoryError, match="line 1: expected a rotation"):
+        read_trajectory(tmp_path / "a.txt")
+
+
 def test_a_packed_file_is_unpacked(tmp_path):
     (tmp_path / "a.txt.gz").write_bytes(gzip.compress(TUM.encode()))
     same_drive(read_trajectory(tmp_path / "a.txt.gz"))
