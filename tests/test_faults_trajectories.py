@@ -71,6 +71,9 @@ FILES: dict[str, tuple[str | bytes, str]] = {
     "three columns": (columns(lambda row: row[:3]), "expected 8 columns (TUM"),
     "seven columns": (columns(lambda row: row[:7]), "expected 8 columns (TUM"),
     "nine columns": (columns(lambda row: [*row, "0"]), "expected 8 columns (TUM"),
+    "row numbers that do not count": (columns(lambda row: ["7", *row]), "expected 8 columns (TUM"),
+    "matrices over four lines": (MATRIX.replace(" 0 0 0 1\n", "\n0 0 0 1\n"), "columns"),
+    "four columns": (columns(lambda row: row[:4]), "one matrix a line"),
     "ten columns": (columns(lambda row: [*row, "0", "0"]), "expected 8 columns (TUM"),
     "cut in a line": (TUM[:-30], "columns"),
     "utf-16": (TUM.encode("utf-16"), "UTF-16"),
@@ -148,6 +151,7 @@ OPTIONS: dict[str, tuple[tuple[str, ...], str]] = {
         ("--groundtruth", "kitti.txt", "--estimate", "index1.txt", "--times", "times.txt"),
         "frames count from 0",
     ),
+    "one time": (("--groundtruth", "kitti.txt", "--estimate", "kitti.txt", "--times", "one.txt"), "expected 40"),
     "too few times": (("--groundtruth", "kitti.txt", "--estimate", "kitti.txt", "--times", "few.txt"), "expected 40"),
 }
 
@@ -164,6 +168,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "kitti.txt").write_text(KITTI)
     (tmp_path / "index1.txt").write_text("".join(f"{k + 1} {row}\n" for k, row in enumerate(KITTI.splitlines())))
     (tmp_path / "times.txt").write_text("".join(f"{0.1 * k}\n" for k in K))
+    (tmp_path / "one.txt").write_text("0\n")
     (tmp_path / "few.txt").write_text("0\n1\n2\n")
     (tmp_path / "folder").mkdir()
     (tmp_path / "blocked" / "scores.json").mkdir(parents=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import gzip
+import os
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +18,8 @@ from tests.trajectories import drive
 
 # Whole milliseconds: seconds and nanoseconds then are the same times.
 BASE = drive(np.random.default_rng(3), 80)
-DRIVE = Trajectory(BASE.positions_m, BASE.quaternions_wxyz, np.round(1.7e9 + 0.1 * np.arange(80), 3))
+TIMES = np.array([round(1.7e9 + 0.1 * k, 3) for k in range(80)])
+DRIVE = Trajectory(BASE.positions_m, BASE.quaternions_wxyz, TIMES)
 SECONDS = [f"{t:.3f}" for t in 1.7e9 + 0.1 * np.arange(80)]
 NANO = [str(1_700_000_000_000_000_000 + 100_000_000 * k) for k in range(80)]
 FRAMES = [str(k) for k in range(80)]
@@ -63,6 +65,11 @@ QUATERNION_FILES = {
     "EuRoC without heading": text(NANO, P, Q, separator=","),
     "EuRoC with states": text(NANO, P, Q, ZEROS, separator=","),
     "EuRoC with states and a bare heading": "time,a,b\n" + text(NANO, P, Q, ZEROS, separator=","),
+    "TUM with states, seconds": text(SECONDS, P, XYZW, ZEROS),
+    "EuRoC with states, seconds": text(SECONDS, P, Q, ZEROS, separator=","),
+    "TUM with a comma at the end": text(SECONDS, P, XYZW, separator=",", end=","),
+    "TUM with row numbers (pandas)": ",t,x,y,z,qx,qy,qz,qw\n"
+    + "".join(f"{k},{line}\n" for k, line in enumerate(text(SECONDS, P, XYZW, separator=",").splitlines())),
     "VINS-Fusion": text(NANO, P, Q, VELOCITY, separator=",", end=","),
     "VINS-Mono": text(NANO, P, Q, VELOCITY, separator=","),
     "VINS with blanks": text(NANO, P, Q, VELOCITY),
@@ -94,7 +101,7 @@ def test_a_format_is_told_from_what_the_file_holds(tmp_path, name, suffix):
     trajectory = read_trajectory(path)
     same_drive(trajectory)
     assert trajectory.timestamps_s is not None
-    np.testing.assert_allclose(trajectory.timestamps_s, DRIVE.timestamps_s, atol=1e-6)
+    np.testing.assert_allclose(trajectory.timestamps_s, TIMES, atol=1e-6)
     assert not trajectory.camera_axes
 
 
@@ -106,7 +113,7 @@ def test_matrices_are_read_with_and_without_first_column(tmp_path, name):
     same_drive(trajectory)
     assert trajectory.camera_axes
     if "times" in name or "nano" in name:
-        np.testing.assert_allclose(np.asarray(trajectory.timestamps_s), DRIVE.timestamps_s, atol=1e-6)
+        np.testing.assert_allclose(np.asarray(trajectory.timestamps_s), TIMES, atol=1e-6)
     assert trajectory.counted == ("frames" in name)
 
 
@@ -136,9 +143,22 @@ def test_what_was_assumed_is_noted_once_a_file_leaves_it_open(tmp_path):
         "TUM": "",
         "EuRoC without states": "",
         "VINS-Mono": "",
-        "EuRoC without heading": "nanoseconds, quaternions read as w x y z, which fits the motion",
+        "EuRoC without heading": "quaternions read as w x y z, which fits the motion",
         "nanoseconds in TUM order (ORB-SLAM3)": "nanoseconds, quaternions read as x y z w",
     }
+
+
+def test_times_from_a_pipe_serve_both_sides(tmp_path):
+    (tmp_path / "gt.txt").write_text(MATRIX_FILES["KITTI"])
+    (tmp_path / "est.txt").write_text(MATRIX_FILES["KITTI with frames"])
+    read, write = os.pipe()
+    os.write(write, "".join(f"{t}\n" for t in SECONDS).encode())
+    os.close(write)
+    files = TrajectoryFiles(Path(f"/dev/fd/{read}"))
+    both = [files.read(tmp_path / name).timestamps_s for name in ("gt.txt", "est.txt")]
+    os.close(read)
+    np.testing.assert_array_equal(np.asarray(both[0]), TIMES)
+    np.testing.assert_array_equal(np.asarray(both[1]), TIMES)
 
 
 def test_the_option_decides_what_neither_heading_nor_motion_tells(tmp_path):
@@ -174,7 +194,7 @@ def test_frame_numbers_point_into_the_times(tmp_path):
     (tmp_path / "times.txt").write_text("".join(f"{t}\n" for t in SECONDS))
     (tmp_path / "est.txt").write_text("".join(MATRIX_FILES["4x4 with frames"].splitlines(keepends=True)[10::4]))
     times = read_trajectory(tmp_path / "est.txt", tmp_path / "times.txt").timestamps_s
-    np.testing.assert_array_equal(np.asarray(times), np.asarray(DRIVE.timestamps_s)[10::4])
+    np.testing.assert_array_equal(np.asarray(times), TIMES[10::4])
 
 
 def test_a_long_table_is_read(tmp_path):
