@@ -34,6 +34,19 @@ def test_csv_keeps_all_digits():
     assert rows == [["Method", "RTE [%]", "n"], ["a|b_c", "1.2345", "3"], ["x", "", ""]]
 
 
+@pytest.mark.parametrize("name", ["=1+1", "+1", "-1", "@SUM(A1)", " =1", "＝1"])
+def test_text_in_csv_is_no_formula_and_numbers_stay_numbers(name):
+    rows = list(csv.reader(io.StringIO(Table("", (Column("a"), Column("b")), [[name, -1.5], ["a-b", -2]]).csv())))
+    assert rows[1:] == [[f"'{name}", "-1.5"], ["a-b", "-2"]]
+
+
+def test_names_from_data_act_on_no_terminal():
+    table = Table("", (Column("a"),), [["\x1b[2Ja\nb"]])
+    for text in (table.text(), table.csv(), table.markdown(), table.latex()):
+        assert "\x1b" not in text
+        assert "a\nb" not in text
+
+
 def test_markdown_and_latex_escape_their_own_signs():
     assert r"| a\|b_c | 1.23 | 3 |" in TABLE.markdown()
     latex = TABLE.latex()

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -9,7 +11,7 @@ from mixo_env.errors import ConfigurationError, TrajectoryError
 from mixo_env.geometry import rotation_from_quaternion_wxyz, rotation_from_yaw
 from mixo_env.metrics.absolute import absolute_errors, absolute_errors_se2, scene_absolute, scene_aligned_ate_se2
 from mixo_env.metrics.aggregate import share_above, statistics
-from mixo_env.metrics.alignment import Alignment, align
+from mixo_env.metrics.alignment import Alignment, NoScaleError, align, align_one_of_many
 from mixo_env.trajectory import Trajectory
 from tests.trajectories import disturbed, drive, literal_angle_deg, moved, random_rotation
 
@@ -106,6 +108,47 @@ def test_standing_still_aligns_the_places_and_refuses_a_scale():
     assert ate_m(truth, align(truth, estimate, "se3").apply(estimate)) == 0.0
     with pytest.raises(TrajectoryError, match="moves"):
         align(truth, estimate, "sim3")
+
+
+@pytest.mark.parametrize("tremble_m", [0.0, 1e-9, 0.02])
+def test_sim3_refuses_a_truth_that_stands_and_does_not_score_it_zero(tremble_m):
+    rng = np.random.default_rng(0)
+    drives = drive(rng, 60)
+    stands = replace(drives, positions_m=5.0 + tremble_m * rng.standard_normal((60, 3)))
+    with pytest.raises(NoScaleError, match="a truth that moves"):
+        align(stands, drives, "sim3")
+    found, fell_back = align_one_of_many(stands, drives, "sim3")
+    assert fell_back
+    rigid = align(stands, drives, "se3")
+    assert ate_m(stands, found.apply(drives)) == pytest.approx(ate_m(stands, rigid.apply(drives)))
+    assert ate_m(stands, found.apply(drives)) > 1.0
+    assert not align_one_of_many(drives, drives, "sim3")[1]
+
+
+@pytest.mark.parametrize("tremble_m", [0.0, 1e-9])
+def test_sim3_refuses_an_estimate_that_stands_nearly(tremble_m):
+    rng = np.random.default_rng(0)
+    drives = drive(rng, 60)
+    stands = replace(drives, positions_m=5.0 + tremble_m * rng.standard_normal((60, 3)))
+    with pytest.raises(NoScaleError, match="an estimate that moves"):
+        align(drives, stands, "sim3")
+
+
+def test_sim3_takes_a_small_scale_for_what_it_is():
+    truth = drive(np.random.default_rng(0), 60)
+    small = replace(truth, positions_m=1e-4 * truth.positions_m)
+    assert align(truth, small, "sim3").scale == pytest.approx(1e4)
+
+
+@pytest.mark.parametrize("value", [1e308, -1e308, np.inf, np.nan])
+def test_alignment_refuses_what_would_hang_the_svd(value):
+    truth = drive(np.random.default_rng(0), 60)
+    wild = replace(truth, positions_m=truth.positions_m.copy())
+    wild.positions_m[3, 1] = value
+    for pair in ((truth, wild), (wild, truth)):
+        for method in ("posyaw", "se3", "sim3"):
+            with pytest.raises(TrajectoryError, match="finite coordinates"):
+                align(*pair, method)
 
 
 def test_alignment_refuses_unknown_names_and_impossible_numbers_of_poses():

@@ -11,11 +11,13 @@ from mixo_env.cli.main import main
 from mixo_env.errors import ConfigurationError, TrajectoryError
 from mixo_env.experts.imported import MAXIMUM_GAP_S, imported_increments
 from mixo_env.fusion import least_squares_weights
+from mixo_env.geometry import multiply_quaternions_wxyz, quaternion_wxyz_from_rotation
 from mixo_env.recordings.fitting import DEFAULT_REWARD_SCALE_RAD, substituted_increments
 from mixo_env.recordings.importing import read_trajectories, with_imported
 from mixo_env.recordings.store import load_recordings, save_recordings
 from mixo_env.trajectory import Trajectory, write_kitti, write_tum
 from tests.synthetic import synthetic_recordings
+from tests.trajectories import random_rotation
 
 START_US = 1_600_000_000_000_000
 
@@ -63,6 +65,18 @@ def test_camera_poses_turn_like_the_car(mounting_deg):
     vehicle = turning(np.arange(-0.1, 1.1, 0.05))
     expected = imported_increments(vehicle, steps)
     np.testing.assert_allclose(imported_increments(as_camera(vehicle, mounting_deg), steps), expected, atol=1e-6)
+
+
+@pytest.mark.parametrize("camera", [False, True], ids=["vehicle", "camera"])
+def test_the_frame_of_the_file_may_be_tilted(camera):
+    steps = START_US + np.arange(0, 1_000_000, 100_000)
+    vehicle = turning(np.arange(-0.1, 1.1, 0.05))
+    expected = imported_increments(vehicle, steps)
+    for seed in range(5):
+        tilt = quaternion_wxyz_from_rotation(random_rotation(np.random.default_rng(seed)))
+        poses = as_camera(vehicle, 10.0) if camera else vehicle
+        tilted = replace(poses, quaternions_wxyz=multiply_quaternions_wxyz(tilt, poses.quaternions_wxyz))
+        np.testing.assert_allclose(imported_increments(tilted, steps), expected, atol=1e-6)
 
 
 def test_times_that_do_not_fit_are_refused():

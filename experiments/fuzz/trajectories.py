@@ -2,7 +2,7 @@
 
     python -m experiments.fuzz.trajectories --inputs 200000
 
-Valid files of every format are the seeds; each input is one of them with one to three mutations of bytes, lines or
+Valid files of every format are the seeds; each input is one of them with one or two mutations of bytes, lines or
 numbers. Warnings count as errors: they would stand beside the one line a user is to see.
 """
 
@@ -129,8 +129,8 @@ MUTATIONS: tuple[Mutation, ...] = (
 
 
 def damaged(rng: np.random.Generator, data: bytes) -> bytes:
-    """A seed with one to three mutations; now and then in another encoding."""
-    for _ in range(int(rng.integers(1, 4))):
+    """A seed with one or two mutations; now and then in another encoding."""
+    for _ in range(int(rng.integers(1, 3))):
         data = MUTATIONS[int(rng.integers(len(MUTATIONS)))](rng, data or b"0")
     return _encode(rng, data) if rng.random() < 0.01 else data
 

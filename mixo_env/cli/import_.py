@@ -36,6 +36,8 @@ class Import:
     axes: Literal["file", "vehicle", "camera"] = "file"
     """Axes of the poses: as the format defines them (KITTI: camera, others: vehicle, z up), or said here. Visual SLAM
     mostly writes camera poses (x right, y down, z forward) into TUM files."""
+    quaternions: Literal["file", "xyzw", "wxyz"] = "file"
+    """Order of quaternions in files that do not tell it (docs/trajectories.md)."""
 
     def run(self) -> int:
         """Extend the recording and say how much of it the new expert covers."""
@@ -46,7 +48,7 @@ class Import:
         from mixo_env.recordings.store import load_recordings, save_recordings
 
         writable_folder(self.out)
-        trajectories = read_trajectories(self.trajectories, self.axes)
+        trajectories = read_trajectories(self.trajectories, self.axes, self.quaternions)
         extended = with_imported(load_recordings(self.recordings), self.expert, trajectories)
         save_recordings(extended, self.out)
         available = np.isfinite(extended[f"{self.expert}.yaw_increment_rad"])

@@ -9,7 +9,7 @@ import numpy as np
 
 from mixo_env.geometry import FloatArray, angle_between_quaternions_rad, wrap_angle_rad
 from mixo_env.metrics.aggregate import scene_rmse
-from mixo_env.metrics.alignment import align
+from mixo_env.metrics.alignment import align_one_of_many
 from mixo_env.metrics.pairs import IntArray, scene_offsets
 from mixo_env.trajectory import Trajectory
 
@@ -71,8 +71,8 @@ def scene_aligned_ate_se2(
 ) -> FloatArray:
     """Translation ATE ``(scenes,)`` [m] after aligning each scene on all its poses.
 
-    No rotation: nearly straight scenes make the rotation after se3 or sim3 meaningless. A scene whose estimate does
-    not move has no scale, so sim3 falls back to se3 there.
+    No rotation: nearly straight scenes make the rotation after se3 or sim3 meaningless. A scene whose truth or
+    estimate stands has no scale, so sim3 falls back to se3 there.
     """
     ate_m = np.full(len(offsets) - 1, np.nan)
     yaw = np.zeros(len(truth_x_m))
@@ -80,8 +80,6 @@ def scene_aligned_ate_se2(
         rows = slice(first, stop)
         truth = Trajectory.from_planar(truth_x_m[rows], truth_y_m[rows], yaw[rows])
         estimate = Trajectory.from_planar(x_m[rows], y_m[rows], yaw[rows])
-        moves = bool(np.ptp(x_m[rows]) or np.ptp(y_m[rows]))
-        chosen = "se3" if method == "sim3" and not moves else method
-        aligned = align(truth, estimate, chosen).apply(estimate)
+        aligned = align_one_of_many(truth, estimate, method)[0].apply(estimate)
         ate_m[scene] = np.sqrt(np.mean(np.sum((truth.positions_m - aligned.positions_m) ** 2, axis=1)))
     return ate_m

@@ -100,6 +100,20 @@ def align(truth: Trajectory, estimate: Trajectory, method: str = "none", first: 
     return Alignment(scale, rotation, p_mean - scale * rotation @ q_mean)
 
 
+def align_one_of_many(
+    truth: Trajectory, estimate: Trajectory, method: str, first: int | None = None
+) -> tuple[Alignment, bool]:
+    """As :func:`align`, but a scene that stands is aligned by se3: it must not keep all others from being scored.
+
+    Returns:
+        The alignment, and whether it fell back so: whoever prints the score says it.
+    """
+    try:
+        return align(truth, estimate, method, first), False
+    except NoScaleError:
+        return align(truth, estimate, "se3", first), True
+
+
 def _spread(p: FloatArray, q: FloatArray) -> float:
     """RMS distance of the estimate's positions ``q`` ``(n, 3)`` from their mean 0, if those and the truth's move."""
     true, own = (float(np.sqrt(np.mean(np.sum(x * x, axis=1)))) for x in (p, q))

@@ -17,6 +17,7 @@ from mixo_env.recordings.fitting import with_fits
 from mixo_env.recordings.schema import INERTIAL_EXPERTS
 from mixo_env.trajectory import Trajectory, read_trajectory
 from mixo_env.trajectory.layout import RPG_ESTIMATE, scene_files
+from mixo_env.trajectory.quaternions import QuaternionOrder
 
 Axes = Literal["file", "vehicle", "camera"]
 """Axes of the poses: as the format defines them, z up, or x right, y down, z forward."""
@@ -25,12 +26,15 @@ TIMES_SUFFIX = ".times"
 """KITTI files hold no times: ``scene-0061.times`` beside ``scene-0061.txt`` has one in Unix seconds a line."""
 
 
-def read_trajectories(folder: Path, axes: Axes = "file") -> dict[str, Trajectory]:
+def read_trajectories(
+    folder: Path, axes: Axes = "file", quaternions: QuaternionOrder = "file"
+) -> dict[str, Trajectory]:
     """Scene name -> trajectory, from files named after the scenes.
 
     Args:
         folder: with ``scene-0061.txt`` (TUM, EuRoC, KITTI) and so on.
         axes: ``"camera"`` for TUM files of programs that write camera poses, as most visual SLAM does.
+        quaternions: their order in files that do not tell it.
 
     Raises:
         TrajectoryError: if there are no such files or one of them cannot be read.
@@ -38,7 +42,7 @@ def read_trajectories(folder: Path, axes: Axes = "file") -> dict[str, Trajectory
     trajectories = {}
     for scene, path in scene_files(folder, RPG_ESTIMATE).items():
         times = path.with_suffix(TIMES_SUFFIX)
-        trajectory = read_trajectory(path, times if times.exists() else None)
+        trajectory = read_trajectory(path, times if times.exists() else None, quaternions)
         trajectories[scene] = trajectory if axes == "file" else replace(trajectory, camera_axes=axes == "camera")
     return trajectories
 

@@ -20,7 +20,7 @@ from mixo_env.metrics.aggregate import (
     share_above,
     statistics,
 )
-from mixo_env.metrics.alignment import NoScaleError, align
+from mixo_env.metrics.alignment import align, align_one_of_many
 from mixo_env.metrics.anatomy import error_anatomy
 from mixo_env.metrics.association import MAX_DIFFERENCE_S, match
 from mixo_env.metrics.increments import increment_score, increments
@@ -229,14 +229,12 @@ def score(matched: Matched, convention: Convention) -> MethodScore:
     aligned, scales, unscaled = [], [], []
     for first, stop in zip(offsets[:-1].tolist(), offsets[1:].tolist(), strict=True):
         scene = matched.estimate[first:stop]
-        try:
-            alignment = align(truth[first:stop], scene, convention.align, convention.align_poses)
-        except NoScaleError:
-            if len(matched.scenes) == 1:
-                raise
-            # One standing scene of many must not keep the others from being scored; the result names it.
-            alignment = align(truth[first:stop], scene, "se3", convention.align_poses)
-            unscaled.append(matched.scenes[len(scales)])
+        poses = truth[first:stop], scene
+        if len(matched.scenes) == 1:
+            alignment = align(*poses, convention.align, convention.align_poses)
+        else:
+            alignment, fell_back = align_one_of_many(*poses, convention.align, convention.align_poses)
+            unscaled += [matched.scenes[len(scales)]] * fell_back
         aligned.append(alignment.apply(scene))
         scales.append(alignment.scale)
     estimate = _concatenate(aligned)

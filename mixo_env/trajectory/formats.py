@@ -16,7 +16,7 @@ quaternions have w is told by :mod:`mixo_env.trajectory.quaternions`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -54,6 +54,7 @@ class TrajectoryFiles:
     times: Path | None = None
     quaternions: QuaternionOrder = "file"
     notes: dict[Path, str] = field(default_factory=dict)
+    _stamps: NumberTable | None = None
     _read: dict[Path, Trajectory] = field(default_factory=dict, repr=False)
 
     def read(self, path: Path) -> Trajectory:
@@ -68,12 +69,13 @@ class TrajectoryFiles:
         return self._read[path]
 
     def _trajectory(self, table: NumberTable) -> Trajectory:
+        table = _without_row_numbers(table)
         columns = table.values.shape[1]
         if columns not in (8, 11, 12, 13) and columns < 14:
             raise table.error(
                 0,
                 "expected 8 columns (TUM, EuRoC), 11 (VINS), 12 or 13 (KITTI), 16 or 17 (4x4 matrices) or 14 and more "
-                f"(EuRoC with states), got {columns}",
+                f"(EuRoC with states), got {columns}" + ("; write one matrix a line" if columns == 4 else ""),
             )
         if len(table.values) < _LEAST_POSES:
             raise table.error(0, f"expected at least {_LEAST_POSES} poses, got this one only; a path needs more")
@@ -104,7 +106,8 @@ class TrajectoryFiles:
                 raise ConfigurationError(
                     f"{table.path} holds its own times ({table.values.shape[1]} columns): leave out {self.times}"
                 )
-            stamps, counted = _read_times(self.times, table, stamps), False
+            self._stamps = self._stamps or read_numbers(self.times)
+            stamps, counted = _stamps_of(self._stamps, table, stamps), False
         matrices = columns.reshape(-1, 3, 4)
         _positions(table, matrices[:, :, 3])
         _check_rotations(table, matrices[:, :, :3])
@@ -148,6 +151,14 @@ def _text(rows: FloatArray) -> str:
     return "".join(" ".join(map(repr, row)) + "\n" for row in rows.tolist())
 
 
+def _without_row_numbers(table: NumberTable) -> NumberTable:
+    """Without the first of nine columns when it counts the rows, as pandas writes them."""
+    values = table.values
+    if values.shape[1] != 9 or not np.array_equal(values[:, 0], np.arange(len(values))):
+        return table
+    return replace(table, values=values[:, 1:], names=table.names[1:])
+
+
 def _matrix_columns(table: NumberTable) -> FloatArray | None:
     """The 12 columns of the 3x4 matrices, or ``None`` when the file holds quaternions."""
     values = table.values
@@ -182,7 +193,9 @@ def _check_rotations(table: NumberTable, rotation: FloatArray) -> None:
     large = np.abs(rotation).max(axis=(1, 2)) > 2.0  # whose products may overflow
     sound = np.where(large[:, None, None], 0.0, rotation)
     skewed = np.abs(sound @ sound.transpose(0, 2, 1) - np.eye(3)).max(axis=(1, 2)) > _ROTATION_TOLERANCE
-    bad = np.flatnonzero(skewed | (np.linalg.det(sound) < 0.0))
+    # A triple product: LAPACK's determinant divides by pivots, which may be too small for that.
+    mirrors = np.sum(np.cross(sound[:, 0], sound[:, 1]) * sound[:, 2], axis=1) < 0.0
+    bad = np.flatnonzero(skewed | mirrors)
     if len(bad):
         raise table.error(
             bad[0], "expected a rotation in columns 1-3, 5-7 and 9-11, its rows are not orthonormal or mirror"
@@ -194,22 +207,21 @@ def _counted(stamps: FloatArray) -> bool:
     return bool(stamps[0] >= 0.0 and stamps[-1] <= _LAST_FRAME and np.all(stamps == np.rint(stamps)))
 
 
-def _read_times(path: Path, poses: NumberTable, frames: FloatArray | None) -> FloatArray:
-    """Times of all poses, or of the frames they number."""
-    table = read_numbers(path)
+def _stamps_of(table: NumberTable, poses: NumberTable, frames: FloatArray | None) -> FloatArray:
+    """From a table of times: those of all poses, or of the frames they number."""
     if table.values.shape[1] != 1:
         raise table.error(0, f"expected one time in seconds a line, got {table.values.shape[1]} columns")
     times = _times(table, table.values[:, 0])
     if frames is not None:
         if frames[-1] >= len(times):
             raise TrajectoryError(
-                f"{path}: expected a time for frame {frames[-1]:.0f} of {poses.path}, got {len(times)} times; "
+                f"{table.path}: expected a time for frame {frames[-1]:.0f} of {poses.path}, got {len(times)} times; "
                 "frames count from 0"
             )
         return times[frames.astype(np.int64)]
     if len(times) != len(poses.values):
         raise TrajectoryError(
-            f"{path}: expected {len(poses.values)} times, one per pose of {poses.path}, got {len(times)}"
+            f"{table.path}: expected {len(poses.values)} times, one per pose of {poses.path}, got {len(times)}"
         )
     return times
 
@@ -249,7 +261,7 @@ def _times(table: NumberTable, stamps: FloatArray) -> FloatArray:
             f"expected a time in seconds or nanoseconds, got {stamps[late[0]]:.6g}, "
             + (f"which looks like {hint}" if hint else "out of range; check the first column"),
         )
-    step = float(np.median(np.diff(times)))
+    step = float(np.median(np.diff(times))) if len(times) > 1 else 0.0
     if step > _LONGEST_STEP_S:
         raise table.error(
             0, f"expected times in seconds or nanoseconds, got steps of {step:g}: convert the times to seconds"

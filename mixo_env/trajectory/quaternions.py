@@ -42,7 +42,7 @@ def quaternion_columns(table: NumberTable, asked: QuaternionOrder) -> tuple[Floa
     usual = _usual(table)
     if usual is None:
         order = _likely(table)
-        return _wxyz(columns, order), f"nanoseconds, quaternions read as {' '.join(order)}, which fits the motion"
+        return _wxyz(columns, order), f"quaternions read as {' '.join(order)}, which fits the motion"
     wander = _wandering(columns, table.values[:, 1:4])
     other = _OTHER[usual]
     if wander and wander[usual] > _WANDERING and wander[other] < _STEADY:
@@ -57,7 +57,7 @@ def quaternion_columns(table: NumberTable, asked: QuaternionOrder) -> tuple[Floa
 
 def nanoseconds(times: FloatArray) -> bool:
     """Whether times are nanoseconds: Unix ones, or steps that would be eleven days or more in seconds."""
-    return bool(np.abs(times[-1]) > 1e17 or np.median(np.abs(np.diff(times))) >= 1e6)
+    return bool(np.abs(times[-1]) > 1e17 or (len(times) > 1 and np.median(np.abs(np.diff(times))) >= 1e6))
 
 
 def _wxyz(columns: FloatArray, order: str) -> FloatArray:
@@ -79,9 +79,10 @@ def _named(table: NumberTable) -> Order | None:
 
 def _usual(table: NumberTable) -> Order | None:
     """The order of the format that writes such lines, if it is one format only."""
-    if table.values.shape[1] > 8 or table.trailing:
+    eight, fine = table.values.shape[1] == 8, nanoseconds(table.values[:, 0])
+    if fine and (table.trailing or not eight):
         return "wxyz"  # EuRoC's states, VINS-Mono and VINS-Fusion
-    if table.separator == " " or not nanoseconds(table.values[:, 0]):
+    if eight and (table.separator == " " or not fine):
         return "xyzw"  # TUM, whatever the separator; ORB-SLAM3 writes the same with nanoseconds
     return None
 
@@ -91,7 +92,7 @@ def _likely(table: NumberTable) -> Order:
     columns = table.values[:, 4:8]
     wander = _wandering(columns, table.values[:, 1:4])
     for order, other in _OTHER.items():
-        if wander and wander[order] < _STEADY and wander[order] * _CLEARLY < wander[other]:
+        if wander and wander[order] < _STEADY and wander[other] > max(_STEADY, _CLEARLY * wander[order]):
             return order
     # Programs begin at the identity.
     start = np.abs(columns[0]) > 1.0 - _IDENTITY

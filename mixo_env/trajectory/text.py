@@ -150,7 +150,7 @@ def _is_number(word: str) -> bool:
         float(word)
     except ValueError:
         return False
-    return True
+    return word.isascii() and "_" not in word  # Python alone reads 1_000 and the digits of other scripts
 
 
 def _names(heading: str, columns: int) -> tuple[str, ...]:
