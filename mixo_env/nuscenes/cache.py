@@ -19,9 +19,10 @@ import numpy as np
 from mixo_env.caches import user_cache_folder
 from mixo_env.errors import DatasetError, OutputError
 from mixo_env.files import atomic_path
+from mixo_env.nuscenes.files import open_file
 from mixo_env.nuscenes.index import TABLES, CalibrationRecord, ImageIndex, SceneRecord, build_index
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 
 logger = logging.getLogger(__name__)
 
@@ -85,7 +86,7 @@ def _sources(folder: Path) -> dict[str, tuple[int, int]]:
 def _load(path: Path, version: str, sources: dict[str, tuple[int, int]]) -> ImageIndex | None:
     """The cached index, or ``None`` when there is none, or it is stale or damaged."""
     try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
+        with open_file(path) as file, np.load(file, allow_pickle=False) as archive:
             header = msgspec.json.decode(archive["header"].tobytes(), type=_Header)
             if (header.schema_version, header.version, header.sources) != (SCHEMA_VERSION, version, sources):
                 logger.info("cache %s is older than the tables", path)
@@ -94,7 +95,7 @@ def _load(path: Path, version: str, sources: dict[str, tuple[int, int]]) -> Imag
             return ImageIndex(**texts, **{name: archive[name] for name in _ARRAY_FIELDS})
     except FileNotFoundError:
         return None
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, msgspec.MsgspecError) as error:
+    except (DatasetError, OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
         logger.info("cache %s cannot be used: %s", path, error)
         return None
 

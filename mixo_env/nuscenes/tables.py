@@ -20,6 +20,7 @@ from mixo_env.errors import ConfigurationError, DatasetError, unknown
 from mixo_env.geometry import rotation_from_quaternion_wxyz
 from mixo_env.nuscenes.cache import cached_index
 from mixo_env.nuscenes.can_bus import read_can_bus, scenes_with_can_bus
+from mixo_env.nuscenes.files import open_file
 from mixo_env.nuscenes.index import CalibrationRecord, ImageIndex
 from mixo_env.nuscenes.scene import CameraCalibration, CameraTrack, ExactPoses, Scene
 from mixo_env.nuscenes.selections import CAMERAS, conditions_of
@@ -245,15 +246,15 @@ def _check_images(scene: str, track: CameraTrack) -> None:
 
 def _read_exact(path: Path) -> ExactPoses | None:
     """Noise-free truth beside a simulated scene; ``None`` for real data."""
-    if not path.is_file():
-        return None
     try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
+        with open_file(path) as file, np.load(file, allow_pickle=False) as archive:
             return ExactPoses(
                 timestamp_us=archive["timestamp_us"].astype(np.int64, casting="safe"),
                 x_m=archive["x_m"].astype(np.float64),
                 y_m=archive["y_m"].astype(np.float64),
                 yaw_rad=archive["yaw_rad"].astype(np.float64),
             )
+    except FileNotFoundError:
+        return None
     except (OSError, ValueError, TypeError, KeyError, EOFError, zipfile.BadZipFile) as error:
         raise DatasetError(f"{path} is not a file of exact poses ({error}): simulate the scene again") from error
