@@ -16,7 +16,8 @@ class Record:
     """Run the experts over a nuScenes folder, real or simulated, and keep what they say.
 
     Images are read here and never again: environments, policies and scores work on the recording. An interrupted run
-    continues where it stopped; scenes that cannot be recorded are skipped with a reason.
+    continues where it stopped; scenes that cannot be recorded, or in which `mixo inspect` finds a problem, are skipped
+    with the reason.
 
     Worked examples:
 
@@ -24,6 +25,7 @@ class Record:
       mixo record /data/nuscenes --out trainval --workers 8               everything you have
       mixo record /data/nuscenes --out two --scenes scene-0655 scene-0757
       mixo record city --out front --cameras CAM_FRONT CAM_FRONT_LEFT
+      mixo record city --out recorded --despite gyro-size clock-offset
       mixo record city --out recorded --retrained CAM_BACK_RIGHT          rows "w/ retrained vocabulary" of the paper
       mixo benchmark --recordings recorded                                what to do next
     """
@@ -51,6 +53,8 @@ class Record:
     """Folds of the cross-validation: whole drives, or the paper's contiguous blocks of scenes."""
     retrained: tuple[str, ...] = ()
     """Cameras to record once more with a vocabulary retrained on 20 % of the images of the other folds."""
+    despite: tuple[str, ...] = ()
+    """Checks of `mixo inspect` whose problems are accepted, by the name that stands before the remark."""
     data_version: str | None = None
     """Name of the data in every result; the version of the tables by default."""
 
@@ -61,6 +65,7 @@ class Record:
 
         from mixo_env.errors import ConfigurationError, unknown
         from mixo_env.experts.monocular.config import MonocularConfig
+        from mixo_env.nuscenes.checks.judge import JudgedDataset
         from mixo_env.nuscenes.tables import open_dataset
         from mixo_env.recordings.record import RecordConfig, record
         from mixo_env.recordings.vocabularies import retrain
@@ -70,6 +75,9 @@ class Record:
                 raise ConfigurationError(unknown("camera to retrain for", camera, self.cameras))
         monocular = MonocularConfig.preset(self.preset)
         dataset = open_dataset(self.root, self.version)
+        for camera in self.cameras:
+            dataset.channel(camera)
+        judged = JudgedDataset(dataset, self.despite)
         config = RecordConfig(
             cameras=self.cameras,
             scenes=self.scenes,
@@ -90,7 +98,7 @@ class Record:
         with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
             task = bar.add_task("recording scenes", total=None)
             recordings = record(
-                dataset,
+                judged,
                 config,
                 self.out,
                 workers=self.workers,

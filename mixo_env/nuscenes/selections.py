@@ -27,11 +27,18 @@ KNOWN_PROBLEMS: Mapping[str, str] = {
 }
 """Remarks of the data set's authors (devkit: ``can_bus_api.py`` and "Known issues")."""
 
+PUBLISHED_VERSIONS = ("v1.0-trainval", "v1.0-mini", "v1.0-test")
+"""Table folders of the published data set."""
+
 FIRST_NIGHT_SCENE = 992
 """In the real trainval set night scenes are numbered from here on: a cross-check of the description, never the rule."""
 
 FIRST_SIMULATED_SCENE = 2001
 """Simulated scenes are numbered from here on, clear of every number of the real data set."""
+
+
+STANDING_M = 5.0
+"""A scene with a shorter way hardly moves: about one in ten of the real ones."""
 
 
 class SceneSummary(Protocol):
@@ -72,6 +79,14 @@ def scene_number(name: str) -> int | None:
     """61 for ``"scene-0061"``; ``None`` for a name of another form."""
     match = re.fullmatch(r"scene-(\d+)", name)
     return int(match.group(1)) if match else None
+
+
+def is_published(version: str) -> bool:
+    """Whether the tables are those of the published data set, whose scenes are known by number.
+
+    Simulated and private folders number their scenes as they like.
+    """
+    return version in PUBLISHED_VERSIONS
 
 
 def paper_selection(scenes: Iterable[SceneSummary]) -> tuple[str, ...]:

@@ -22,6 +22,7 @@ from mixo_env.nuscenes.cache import cached_index
 from mixo_env.nuscenes.can_bus import read_can_bus, scenes_with_can_bus
 from mixo_env.nuscenes.files import open_file
 from mixo_env.nuscenes.index import CalibrationRecord, ImageIndex
+from mixo_env.nuscenes.limits import LONGEST_SCENE_S
 from mixo_env.nuscenes.scene import CameraCalibration, CameraTrack, ExactPoses, Scene
 from mixo_env.nuscenes.selections import CAMERAS, conditions_of
 
@@ -132,6 +133,26 @@ class Dataset:
             raise ConfigurationError(unknown("scene", name, names))
         return self._position_of_scene[name]
 
+    def channel(self, camera: str) -> int:
+        """Position of a camera in ``channels``.
+
+        Raises:
+            ConfigurationError: no such camera.
+        """
+        if camera not in self.channels:
+            raise ConfigurationError(unknown("camera", camera, self.channels))
+        return self.channels.index(camera)
+
+    def has_images(self, camera: str) -> bool:
+        """Whether the tables list images of a camera in any scene."""
+        offset, step = self.index.offset, len(self.channels)
+        position = self.channel(camera)
+        return bool(np.any(np.diff(offset)[position::step] > 0))
+
+    def has_folder(self, camera: str) -> bool:
+        """Whether images of a camera were unpacked: there is a folder of its name."""
+        return any((self.root / folder / camera).is_dir() for folder in ("samples", "sweeps"))
+
     def track(self, name: str, camera: str) -> CameraTrack:
         """All images of one camera in one scene; image files are not looked at.
 
@@ -139,10 +160,8 @@ class Dataset:
             ConfigurationError: no such scene or camera.
             DatasetError: the rows are broken.
         """
-        if camera not in self.channels:
-            raise ConfigurationError(unknown("camera", camera, self.channels))
         index = self.index
-        rows = index.images(self.position(name), self.channels.index(camera))
+        rows = index.images(self.position(name), self.channel(camera))
         label = f"{name} {camera}"
         if rows.start == rows.stop:
             raise DatasetError(f"{label}: the tables list no images; expected about 12 a second")
@@ -152,6 +171,8 @@ class Dataset:
             raise DatasetError(
                 f"{label}: {repeated} images repeat the time of the one before; expected increasing times"
             )
+        if (span_s := 1e-6 * float(time[-1] - time[0])) > LONGEST_SCENE_S:
+            raise DatasetError(f"{label}: images span {span_s:.0f} s; a scene lasts 20 s, at most {LONGEST_SCENE_S:g}")
         norm_error = np.abs(index.quaternion_norm[rows] - 1.0)
         if not np.all(norm_error < UNIT_QUATERNION_TOLERANCE):  # also catches NaN
             missing = int(np.count_nonzero(np.isnan(norm_error)))
