@@ -50,14 +50,16 @@ def cached_index(root: Path, version: str) -> ImageIndex:
         DatasetError: as :func:`mixo_env.nuscenes.index.build_index`.
     """
     sources = _sources(root / version)
-    candidates = (root / ".mixo-cache" / f"{version}.npz", user_cache_folder() / f"{_root_key(root)}-{version}.npz")
+    beside = root / ".mixo-cache"
+    candidates = (beside / f"{version}.npz", user_cache_folder() / f"{_root_key(root)}-{version}.npz")
     for path in candidates:
         index = _load(path, version, sources)
         if index is not None:
             return index
     logger.info("reading the tables of %s (once; later runs use a cache)", root / version)
     index = build_index(root / version)
-    for path in candidates:
+    # A link would lead out of the folder, to wherever whoever packed it wants a file.
+    for path in candidates[1:] if beside.is_symlink() else candidates:
         try:
             _save(path, index, version, sources)
             break
@@ -92,7 +94,9 @@ def _load(path: Path, version: str, sources: dict[str, tuple[int, int]]) -> Imag
                 logger.info("cache %s is older than the tables", path)
                 return None
             texts = {name: tuple(getattr(header, name)) for name in _TEXT_FIELDS}
-            return ImageIndex(**texts, **{name: archive[name] for name in _ARRAY_FIELDS})
+            index = ImageIndex(**texts, **{name: archive[name] for name in _ARRAY_FIELDS})
+            index.check(str(path))  # a folder may come with a cache that its tables did not make
+            return index
     except FileNotFoundError:
         return None
     except (DatasetError, OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:

@@ -86,7 +86,7 @@ def read_jpeg(path: Path) -> bytes:
     try:
         content = read_file(path)
     except FileNotFoundError:
-        raise DatasetError(f"{path} is missing: unpack or simulate it again") from None
+        raise DatasetError(f"{path} cannot be read, it is missing: unpack or simulate it again") from None
     size = jpeg_size(io.BytesIO(content))
     if size is None:
         raise DatasetError(f"{path} cannot be read as JPEG (it has no JPEG header): unpack or simulate it again")

@@ -138,6 +138,32 @@ class ImageIndex:
     calibration: NDArray[np.int32]
     filename_pattern: NDArray[np.int32]
 
+    def check(self, where: str) -> None:
+        """See that the columns fit each other and that no name leads out of the folder.
+
+        Raises:
+            DatasetError: they do not.
+        """
+        count = len(self.timestamp_us)
+        columns = (self.x_m, self.y_m, self.yaw_rad, self.quaternion_norm, self.tilt_rad, self.pose_delay_s)
+        columns += (self.is_keyframe, self.calibration, self.filename_pattern)
+        groups = len(self.scenes) * len(self.channels)
+        fits = all(column.shape == (count,) for column in columns) and self.offset.shape == (groups + 1,)
+        fits = fits and self.offset[0] == 0 and self.offset[-1] == count and bool(np.all(np.diff(self.offset) >= 0))
+        for column, names in (
+            (self.calibration, self.calibrations),
+            (self.filename_pattern, self.filename_patterns),
+        ):
+            fits = fits and (not count or bool(0 <= column.min() and column.max() < len(names)))
+        if not fits:
+            raise DatasetError(f"{where}: its columns do not fit each other")
+        for scene in self.scenes:
+            check_name(where, scene.name)
+        for channel in self.channels:
+            check_channel(where, channel)
+        for pattern in self.filename_patterns:
+            check_path(where, pattern.replace("\t", "0", 1))
+
     def images(self, scene: int, channel: int) -> slice:
         """Rows of one camera in one scene."""
         group = scene * len(self.channels) + channel

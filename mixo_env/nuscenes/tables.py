@@ -216,8 +216,13 @@ def _find_version(root: Path, version: str | None) -> str:
         raise DatasetError(f"{root} is not a folder: give the folder that holds v1.0-trainval, samples and sweeps")
     if (root / "sample_data.json").is_file():
         raise DatasetError(f"{root} is the folder of the tables: give the folder above it, {root.parent}")
-    versions = sorted(path.name for path in root.iterdir() if (path / "sample_data.json").is_file())
+    try:
+        versions = sorted(path.name for path in root.iterdir() if (path / "sample_data.json").is_file())
+    except OSError as error:
+        raise DatasetError(f"{root} cannot be read: {error.strerror}") from None
     if version is not None:
+        if Path(version).name != version:
+            raise ConfigurationError(f"--version must be the name of a folder in {root}, got {version!r}")
         # A folder that is there but lacks tables gets the precise message of the reader.
         if version not in versions and not (root / version).is_dir():
             raise ConfigurationError(unknown("version", version, versions))
