@@ -19,7 +19,8 @@ if TYPE_CHECKING:
 class Inspect:
     """Check the tables, images, calibration, times and CAN bus of a nuScenes folder, real or simulated.
 
-    `mixo record` skips the scenes in which this finds a problem, with the same words. Exit code 1 if something is wrong with the data. The first run on a folder reads its tables and keeps a cache.
+    `mixo record` skips the scenes in which this finds a problem, with the same words. Exit code 1 if something is wrong
+    with the data. The first run on a folder reads its tables and keeps a cache.
 
     Worked examples:
       mixo inspect /data/nuscenes

@@ -7,10 +7,10 @@ ordered by scene, camera and *time*: ``prev``/``next`` chains are not needed and
 from __future__ import annotations
 
 from array import array
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple, Protocol, TypeVar
+from typing import NamedTuple, TypeVar
 
 import msgspec
 import numpy as np
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from mixo_env.errors import DatasetError
 from mixo_env.geometry import yaw_from_quaternion_wxyz
-from mixo_env.nuscenes.json_rows import broken, read_rows
+from mixo_env.nuscenes.json_rows import broken, read_blocks
 from mixo_env.nuscenes.limits import Component, Coordinate, Count, Pixels, Side, TimeUs
 from mixo_env.nuscenes.names import check_channel, check_name, check_path, check_text
 
@@ -154,7 +154,7 @@ class ImageIndex:
             (self.calibration, self.calibrations),
             (self.filename_pattern, self.filename_patterns),
         ):
-            fits = fits and (not count or bool(0 <= column.min() and column.max() < len(names)))
+            fits = fits and (not count or bool(column.min() >= 0 and column.max() < len(names)))
         if not fits:
             raise DatasetError(f"{where}: its columns do not fit each other")
         for scene in self.scenes:
@@ -186,12 +186,11 @@ def build_index(version_folder: Path) -> ImageIndex:
     channel_of_calibrated_sensor, sensors, channels = _read_cameras(version_folder)
 
     # One entry per camera image, in file order.
-    group, timestamp_us, is_keyframe, calibration, pattern, pose_slot = (array("q") for _ in range(6))
-    slot_of_pose: dict[str, int] = {}
+    group, timestamp_us, is_keyframe, calibration, pattern, pose_hash = (array("q") for _ in range(6))
     pattern_index: dict[str, int] = {}
     calibration_index: dict[tuple[str, int, int], int] = {}
     table = version_folder / "sample_data.json"
-    for row in _unique(table, read_rows(table, _SampleDataRow)):
+    for row in _unique(table, _SampleDataRow):
         channel = channel_of_calibrated_sensor.get(row.calibrated_sensor_token)
         if channel is None:
             raise _dangling(version_folder, "sample_data", "calibrated_sensor", row.calibrated_sensor_token)
@@ -211,14 +210,14 @@ def build_index(version_folder: Path) -> ImageIndex:
             check_path(f"{table}, row {row.token!r}", row.filename)
             known = pattern_index[pattern_text] = len(pattern_index)
         pattern.append(known)
-        pose_slot.append(slot_of_pose.setdefault(row.ego_pose_token, len(slot_of_pose)))
+        pose_hash.append(hash(row.ego_pose_token))
 
-    slots = np.array(pose_slot, dtype=np.int64)
-    pose = _read_poses(version_folder, slot_of_pose)
+    wanted, slots = np.unique(np.array(pose_hash, dtype=np.int64), return_inverse=True)
+    pose = _read_poses(version_folder, wanted)
     group_array = np.array(group, dtype=np.int64)
     time_array = np.array(timestamp_us, dtype=np.int64)
     order = np.lexsort((time_array, group_array))
-    pose = _Poses(*(column[slots[order]] for column in pose))
+    pose = pose.at(slots[order])
     return ImageIndex(
         scenes=scenes,
         channels=channels,
@@ -251,12 +250,12 @@ def build_index(version_folder: Path) -> ImageIndex:
 def _read_scenes(folder: Path) -> tuple[tuple[SceneRecord, ...], dict[str, int]]:
     """Scenes by ascending name, and sample token -> position of its scene."""
     table = folder / "log.json"
-    logs = {log.token: log for log in _unique(table, read_rows(table, _LogRow))}
+    logs = {log.token: log for log in _unique(table, _LogRow)}
     for log in logs.values():
         for kind, text in (("log", log.logfile), ("vehicle", log.vehicle), ("location", log.location)):
             check_text(f"{table}, row {log.token!r}", kind, text)
     table = folder / "scene.json"
-    rows = sorted(_unique(table, read_rows(table, _SceneRow)), key=lambda scene: scene.name)
+    rows = sorted(_unique(table, _SceneRow), key=lambda scene: scene.name)
     if not rows:
         raise broken(table, "it holds no scenes")
     records, names = [], set()
@@ -275,7 +274,7 @@ def _read_scenes(folder: Path) -> tuple[tuple[SceneRecord, ...], dict[str, int]]
     position = {row.token: index for index, row in enumerate(rows)}
     scene_of_sample = {}
     table = folder / "sample.json"
-    for sample in _unique(table, read_rows(table, _SampleRow)):
+    for sample in _unique(table, _SampleRow):
         if sample.scene_token not in position:
             raise _dangling(folder, "sample", "scene", sample.scene_token)
         scene_of_sample[sample.token] = position[sample.scene_token]
@@ -285,7 +284,7 @@ def _read_scenes(folder: Path) -> tuple[tuple[SceneRecord, ...], dict[str, int]]
 def _read_cameras(folder: Path) -> tuple[dict[str, int], dict[str, _CalibratedSensorRow], tuple[str, ...]]:
     """Calibrated-sensor token -> channel position (-1: not a camera), rows by token, channel names."""
     table = folder / "sensor.json"
-    sensors = {sensor.token: sensor for sensor in _unique(table, read_rows(table, _SensorRow))}
+    sensors = {sensor.token: sensor for sensor in _unique(table, _SensorRow)}
     channels = tuple(sorted({sensor.channel for sensor in sensors.values() if sensor.modality == "camera"}))
     if not channels:
         raise broken(table, "it holds no cameras")
@@ -293,7 +292,7 @@ def _read_cameras(folder: Path) -> tuple[dict[str, int], dict[str, _CalibratedSe
         check_channel(str(table), channel)
     rows, channel_of = {}, {}
     table = folder / "calibrated_sensor.json"
-    for row in _unique(table, read_rows(table, _CalibratedSensorRow)):
+    for row in _unique(table, _CalibratedSensorRow):
         sensor = sensors.get(row.sensor_token)
         if sensor is None:
             raise _dangling(folder, "calibrated_sensor", "sensor", row.sensor_token)
@@ -314,27 +313,45 @@ class _Poses(NamedTuple):
     tilt_rad: NDArray[np.float32]
     timestamp_us: NDArray[np.int64]
 
+    def at(self, rows: NDArray[np.int64]) -> _Poses:
+        """Some of the rows, in another order."""
+        return _Poses(
+            self.x_m[rows],
+            self.y_m[rows],
+            self.yaw_rad[rows],
+            self.quaternion_norm[rows],
+            self.tilt_rad[rows],
+            self.timestamp_us[rows],
+        )
 
-def _read_poses(folder: Path, slot_of_pose: dict[str, int]) -> _Poses:
-    """One pose for every slot; every row of the table is checked for its token."""
-    translation = np.full((len(slot_of_pose), 2), np.nan)
-    rotation = np.full((len(slot_of_pose), 4), np.nan)
-    timestamp_us = np.zeros(len(slot_of_pose), np.int64)
+
+def _read_poses(folder: Path, wanted: NDArray[np.int64]) -> _Poses:
+    """Poses of the rows whose hashed tokens are ``wanted`` (increasing), in that order.
+
+    Millions of tokens as text would fill half a gigabyte; that their hashes differ is checked with the tokens.
+    """
+    values = np.full((len(wanted), 6), np.nan)
+    timestamp_us = np.zeros(len(wanted), np.int64)
     table = folder / "ego_pose.json"
-    for row in _unique(table, read_rows(table, _EgoPoseRow)):
-        slot = slot_of_pose.get(row.token)
-        if slot is not None:
-            translation[slot] = row.translation[:2]
-            rotation[slot] = row.rotation
-            timestamp_us[slot] = row.timestamp
+    hashes = []
+    for rows in read_blocks(table, _EgoPoseRow):
+        hashes.append(np.array([hash(row.token) for row in rows], dtype=np.int64))
+        slot = np.searchsorted(wanted, hashes[-1])
+        found = np.flatnonzero(wanted[np.minimum(slot, len(wanted) - 1)] == hashes[-1]) if len(wanted) else []
+        if len(found):
+            chosen = [rows[i] for i in found]
+            values[slot[found]] = [(*row.translation[:2], *row.rotation) for row in chosen]
+            timestamp_us[slot[found]] = [row.timestamp for row in chosen]
+    _check_unique(table, np.concatenate(hashes))
+    rotation = values[:, 2:]
     with np.errstate(invalid="ignore", divide="ignore"):
         norm = np.linalg.norm(rotation, axis=1)
         _, x, y, _ = (rotation / norm[:, None]).T
         tilt = np.arccos(np.clip(1.0 - 2.0 * (x * x + y * y), -1.0, 1.0))
     yaw = yaw_from_quaternion_wxyz(rotation)
     return _Poses(
-        translation[:, 0],
-        translation[:, 1],
+        values[:, 0],
+        values[:, 1],
         yaw,
         norm.astype(np.float32),
         tilt.astype(np.float32),
@@ -342,28 +359,28 @@ def _read_poses(folder: Path, slot_of_pose: dict[str, int]) -> _Poses:
     )
 
 
-class _HasToken(Protocol):
-    token: str
+_Row = TypeVar("_Row", _SceneRow, _LogRow, _SampleRow, _SensorRow, _CalibratedSensorRow, _SampleDataRow)
 
 
-_Row = TypeVar("_Row", bound=_HasToken)
-
-
-def _unique(table: Path, rows: Iterable[_Row]) -> Iterator[_Row]:
-    """The rows; after the last one, their tokens are checked to differ.
-
-    Kept are eight bytes a token, the hash: 20 MB for the largest table. That two of its 2.6 million tokens share one by
-    accident has a chance of one in five millions.
-    """
+def _unique(table: Path, row_type: type[_Row]) -> Iterator[_Row]:
+    """The rows of a table; after the last one, their tokens are checked to differ."""
     hashes = array("q")
-    for row in rows:
-        hashes.append(hash(row.token))
-        yield row
-    values = np.frombuffer(hashes, dtype=np.int64) if hashes else np.zeros(0, np.int64)
-    ordered = np.sort(values)
+    for rows in read_blocks(table, row_type):
+        hashes.extend([hash(row.token) for row in rows])
+        yield from rows
+    _check_unique(table, np.array(hashes, dtype=np.int64))
+
+
+def _check_unique(table: Path, hashes: NDArray[np.int64]) -> None:
+    """See that no token stands in a table twice.
+
+    Eight bytes a token are 20 MB for the largest table. That two of its 2.6 million tokens share a hash by accident has
+    a chance of one in five millions.
+    """
+    ordered = np.sort(hashes)
     repeated = ordered[1:][ordered[1:] == ordered[:-1]]
     if len(repeated):
-        first, second = np.flatnonzero(values == repeated[0])[:2]
+        first, second = np.flatnonzero(hashes == repeated[0])[:2]
         raise broken(table, f"{len(repeated)} tokens stand there twice, first in rows {first} and {second}")
 
 

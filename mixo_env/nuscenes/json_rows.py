@@ -28,7 +28,13 @@ Row = TypeVar("Row", bound=msgspec.Struct)
 
 
 def read_rows(path: Path, row_type: type[Row], block_bytes: int = BLOCK_BYTES) -> Iterator[Row]:
-    """Rows of the table at ``path`` in file order.
+    """Rows of the table at ``path`` in file order, as :func:`read_blocks`."""
+    for rows in read_blocks(path, row_type, block_bytes):
+        yield from rows
+
+
+def read_blocks(path: Path, row_type: type[Row], block_bytes: int = BLOCK_BYTES) -> Iterator[list[Row]]:
+    """Rows of the table at ``path`` in file order, some thousands at a time.
 
     Args:
         path: a ``.json`` file holding one array of objects.
@@ -41,14 +47,16 @@ def read_rows(path: Path, row_type: type[Row], block_bytes: int = BLOCK_BYTES) -
     """
     try:
         with open_file(path) as file:
-            yield from _rows(path, file, msgspec.json.Decoder(list[row_type]), block_bytes)
+            yield from _blocks(path, file, msgspec.json.Decoder(list[row_type]), block_bytes)
     except FileNotFoundError:
         raise DatasetError(f"{path} is missing: unpack the nuScenes metadata of this version again") from None
     except OSError as error:
         raise DatasetError(f"{path} cannot be read: {error.strerror}") from error
 
 
-def _rows(path: Path, file: BinaryIO, decoder: msgspec.json.Decoder[list[Row]], block_bytes: int) -> Iterator[Row]:
+def _blocks(
+    path: Path, file: BinaryIO, decoder: msgspec.json.Decoder[list[Row]], block_bytes: int
+) -> Iterator[list[Row]]:
     pending = file.read(block_bytes).lstrip()
     if not pending.startswith(b"["):
         raise broken(path, f"expected a JSON array, it starts with {pending[:20]!r}")
@@ -58,7 +66,7 @@ def _rows(path: Path, file: BinaryIO, decoder: msgspec.json.Decoder[list[Row]], 
         block = file.read(block_bytes)
         pending += block
         rows, pending = _decode_complete_rows(path, decoder, pending, count, is_last=not block)
-        yield from rows
+        yield rows
         count += len(rows)
         if not block:
             break
