@@ -55,8 +55,8 @@ def cameras(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
     return sorted((row for row in rows if "/CAM_" in row["filename"]), key=lambda row: row["timestamp"])
 
 
-def image_row(key: str, value: Any, position: int = 5) -> Callable[[Path], None]:
-    """One field of one image row."""
+def image_row(key: str, value: Any, position: int = 1) -> Callable[[Path], None]:
+    """One field of one image row; the second of a scene is CAM_FRONT's."""
     return table("sample_data", lambda rows: one(key, value, position)(cameras(rows)))
 
 
@@ -225,7 +225,7 @@ FAULTS: dict[str, Fault] = {
     **{f"latin-{k}": (text(f"{VERSION}/{k}.json", lambda b: b.replace(b'"token": "', b'"token": "\xdf', 1)), "UTF-8") for k in TABLES},
     **{f"cut-{k}": (text(f"{VERSION}/{k}.json", lambda b: b[: len(b) // 2]), "not a valid nuScenes file") for k in TABLES},
     **{f"{v}-as-{k}": (instead(make, f"{VERSION}/{k}.json"), r"not a file|cannot be read|is missing|not a nuScenes") for k in ("scene", "ego_pose") for v, make in NO_FILES.items()},
-    "nested": (text(f"{VERSION}/log.json", lambda b: b'[{"token":"","deep":' + b"[" * 200_000), "deeply nested"),
+    "nested": (text(f"{VERSION}/log.json", lambda b: b'[{"token":"","deep":' + b"[" * 200_000 + b"]" * 200_000 + b"}]"), "deeply nested"),
     "object": (text(f"{VERSION}/log.json", lambda b: b"{}"), "expected a JSON array"),
     "text-after": (text(f"{VERSION}/log.json", lambda b: b + b"[]"), "not a valid nuScenes file"),
     "endless-row": (text(f"{VERSION}/log.json", lambda b: b'[{"token":"' + b"x" * 8_000_000), "never ends"),
@@ -256,7 +256,7 @@ FAULTS: dict[str, Fault] = {
         table("ego_pose", each("rotation", lambda q: [math.sqrt(0.5) * (q[0] - q[3]), 0, 0, math.sqrt(0.5) * (q[0] + q[3])])),
         "pose-heading",
     ),
-    "poses-identity": (table("ego_pose", each("rotation", lambda q: [1, 0, 0, 0])), "wrong-axis"),
+    "poses-identity": (table("ego_pose", each("rotation", lambda q: [1, 0, 0, 0])), "wrong-axis|pose-heading"),
     "poses-rolled": (table("ego_pose", each("rotation", lambda q: [0, q[0], q[3], 0])), "pose-tilt"),
     "x-and-y-exchanged": (table("ego_pose", each("translation", lambda t: [t[1], t[0], 0])), "pose-heading"),
     "poses-in-millimetres": (table("ego_pose", each("translation", lambda t: [1000 * v for v in t])), "pose-jump"),
@@ -324,7 +324,7 @@ FAULTS: dict[str, Fault] = {
     "gyro-doubled": (can("ms_imu", _yaw_rates(2.0)), "gyro-size"),
     "gyro-biased": (can("ms_imu", _yaw_rates(1.0, 0.5)), "gyro-size"),
     "gyro-zero": (can("ms_imu", _yaw_rates(0.0)), "wrong-axis"),
-    "gyro-spike": (can("ms_imu", one("rotation_rate", [0, 0, 40.0], 90)), "gyro-size"),
+    "gyro-spike": (can("ms_imu", one("rotation_rate", [0, 0, 40.0], 90)), "gyro-size|wrong-axis"),
     "pose-gyro-sign": (can("pose", _yaw_rates(-1.0)), "wrong-axis"),
     "monitor-in-radians": (can("vehicle_monitor", each("yaw_rate", math.radians)), "gyro-size"),
     "monitor-sign": (can("vehicle_monitor", each("yaw_rate", lambda v: -v)), "gyro-size"),

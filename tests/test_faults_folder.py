@@ -67,7 +67,7 @@ def test_fault(name, folder, tmp_path, capsys):
     message = capsys.readouterr().err
     assert re.search(words, message), message
     assert message.count("\n") == 1, message
-    assert message.isprintable() or message[:-1].isprintable()
+    assert message[:-1].isprintable()
     assert around(tmp_path) == before
     written = {path.name for path in (tmp_path / "run").rglob("*.parquet")} if (tmp_path / "run").exists() else set()
     assert not written
@@ -101,7 +101,7 @@ def test_a_folder_with_one_camera_is_inspected_as_it_is(folder, capsys):
     assert main(["inspect", str(folder)]) == 0
     assert "cameras: CAM_FRONT\n" in capsys.readouterr().out
     assert main(["inspect", str(folder), "--cameras", "CAM_FRONT", "CAM_BACK"]) == 1
-    assert "CAM_BACK: 33 of 33 images are missing" in capsys.readouterr().out
+    assert re.search(r"CAM_BACK: (\d+) of \1 images are missing", capsys.readouterr().out)
     assert main(["inspect", str(folder), "--cameras", "CAM_FORNT"]) == 2
 
 

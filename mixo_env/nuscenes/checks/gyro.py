@@ -40,9 +40,9 @@ def gyros_of(can_bus: CanBus) -> dict[str, Signal | None]:
     }
 
 
-def yaw_rates_against(path: TruePath, gyro: Signal, window_s: float = 0.5) -> Rates | None:
+def yaw_rates_against(path: TruePath, gyro: Signal) -> Rates | None:
     """Yaw rates of the poses and of a gyro over common windows."""
-    return window_rates(path.time_us, path.yaw_rad, gyro.timestamp_us, gyro.value, window_s)
+    return window_rates(path.time_us, path.yaw_rad, gyro.timestamp_us, gyro.value)
 
 
 def gyro_sign(evidence: Evidence) -> Iterator[Finding]:
@@ -59,13 +59,14 @@ def gyro_sign(evidence: Evidence) -> Iterator[Finding]:
 def gyro_size(evidence: Evidence) -> Iterator[Finding]:
     """A gyro turns as much as the poses, in rad/s, and does not drift."""
     for message, rates in _compared(evidence):
-        if rates.is_moving(TURNING_RADPS) and rates.correlation >= CORRELATION:
-            if not SLOPES[0] < rates.slope < SLOPES[1]:
-                yield Finding(
-                    "gyro-size",
-                    f"{message}: its yaw rate is {rates.slope:.3g} times the poses'; rad/s are expected",
-                )
-        elif abs(bias := float(np.mean(rates.sensed - rates.true))) > LARGEST_BIAS_RADPS:
+        turns = rates.is_moving(TURNING_RADPS)
+        if turns and rates.correlation < CORRELATION:
+            continue
+        # On a straight road the slope is noise, and the offset is the difference.
+        slope = rates.slope if turns else 1.0
+        if not SLOPES[0] < slope < SLOPES[1]:
+            yield Finding("gyro-size", f"{message}: its yaw rate is {slope:.3g} times the poses'; rad/s are expected")
+        if abs(bias := float(np.mean(rates.sensed - slope * rates.true))) > LARGEST_BIAS_RADPS:
             yield Finding("gyro-size", f"{message}: its yaw rate is off by {bias:.3f} rad/s on average: another unit?")
     for message, gyro in _present(evidence):
         if (fastest := float(np.abs(gyro.value).max())) > FASTEST_RADPS:
@@ -81,7 +82,7 @@ def _monitor_size(evidence: Evidence) -> Iterator[Finding]:
     monitor = evidence.can_bus.monitor_yaw_rate_radps if evidence.can_bus else None
     if monitor is None or evidence.path is None or len(monitor.timestamp_us) < 2:
         return
-    rates = yaw_rates_against(evidence.path, monitor, window_s=1.0)
+    rates = yaw_rates_against(evidence.path, monitor)
     if rates is not None and np.abs(rates.true).max() > 2 * TURNING_RADPS and not 0.4 < rates.slope < 2.0:
         yield Finding(
             "gyro-size",
