@@ -26,6 +26,7 @@ class Inspect:
       mixo inspect /data/nuscenes
       mixo inspect /data/nuscenes --version v1.0-trainval --scenes scene-0061 scene-0103
       mixo inspect /data/nuscenes --cameras all
+      mixo inspect /data/nuscenes --selection paper736
       mixo inspect my-city --json > report.json
     """
 
@@ -36,7 +37,12 @@ class Inspect:
     version: str | None = None
     """Version folder; needed only if there are several."""
     scenes: tuple[str, ...] = ()
-    """Scenes to check; all by default."""
+    """Scenes to check; those of the selection by default."""
+    selection: str = "all"
+    """Scenes by name: all, day, night, rain, moving (5 m or more), paper736, or an official split such as val, whose
+    list is read from splits.json in the version folder or from an installed nuscenes-devkit."""
+    key_frames: bool = False
+    """Leave the images between key frames (sweeps) out: 2 Hz."""
     cameras: tuple[str, ...] = ()
     """Cameras to check, or "all"; by default the paper's four, or those of them that are there."""
     json: bool = False
@@ -50,13 +56,12 @@ class Inspect:
         from rich.progress import track
 
         from mixo_env.nuscenes.checks.judge import Inspection, judge, problems_of_folder
+        from mixo_env.nuscenes.selecting import chosen
         from mixo_env.nuscenes.tables import open_dataset
 
-        dataset = open_dataset(self.root, self.version)
+        dataset = open_dataset(self.root, self.version, self.key_frames)
         cameras = _cameras(dataset, self.cameras)
-        names = self.scenes or dataset.scene_names
-        for name in names:
-            dataset.position(name)
+        names = chosen(dataset, self.scenes, self.selection)
         console = Console(stderr=True)
         reports = [
             judge(dataset, name, cameras) for name in track(names, "inspecting", console=console, transient=True)

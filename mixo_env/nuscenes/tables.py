@@ -15,6 +15,7 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mixo_env.errors import ConfigurationError, DatasetError, unknown
 from mixo_env.geometry import rotation_from_quaternion_wxyz
@@ -51,15 +52,17 @@ class Dataset:
         root: the folder that holds ``v1.0-*``, ``samples``, ``sweeps`` and ``can_bus``.
         version: name of the table folder, e.g. ``"v1.0-trainval"``.
         index: all camera images as flat arrays.
+        keyframes_only: leave the images between key frames out, as if ``sweeps`` did not exist.
     """
 
     root: Path
     version: str
     index: ImageIndex
+    keyframes_only: bool = False
 
-    def __reduce__(self) -> tuple[Callable[[Path, str], Dataset], tuple[Path, str]]:
+    def __reduce__(self) -> tuple[Callable[[Path, str, bool], Dataset], tuple[Path, str, bool]]:
         """Another process opens the cache again instead of being sent the index, which is large."""
-        return open_dataset, (self.root, self.version)
+        return open_dataset, (self.root, self.version, self.keyframes_only)
 
     @property
     def scene_names(self) -> tuple[str, ...]:
@@ -143,6 +146,21 @@ class Dataset:
             raise ConfigurationError(unknown("camera", camera, self.channels))
         return self.channels.index(camera)
 
+    def rows(self, name: str, camera: str) -> NDArray[np.int64]:
+        """Rows of ``index`` of one camera in one scene, in order of time.
+
+        Raises:
+            ConfigurationError: no such scene or camera.
+        """
+        images = self.index.images(self.position(name), self.channel(camera))
+        rows = np.arange(images.start, images.stop)
+        return rows[self.index.is_keyframe[images]] if self.keyframes_only else rows
+
+    def distance_m(self, name: str) -> float:
+        """Way of a scene in metres, by the poses of the camera that has most images; NaN where a pose is missing."""
+        rows = max((self.rows(name, camera) for camera in self.channels), key=len)
+        return float(np.hypot(np.diff(self.index.x_m[rows]), np.diff(self.index.y_m[rows])).sum())
+
     def has_images(self, camera: str) -> bool:
         """Whether the tables list images of a camera in any scene."""
         offset, step = self.index.offset, len(self.channels)
@@ -160,10 +178,9 @@ class Dataset:
             ConfigurationError: no such scene or camera.
             DatasetError: the rows are broken.
         """
-        index = self.index
-        rows = index.images(self.position(name), self.channel(camera))
+        index, rows = self.index, self.rows(name, camera)
         label = f"{name} {camera}"
-        if rows.start == rows.stop:
+        if not len(rows):
             raise DatasetError(f"{label}: the tables list no images; expected about 12 a second")
         calibration = _calibration(label, [index.calibrations[i] for i in np.unique(index.calibration[rows])])
         time = index.timestamp_us[rows]
@@ -183,7 +200,7 @@ class Dataset:
         return CameraTrack(
             calibration=calibration,
             timestamp_us=time,
-            image_paths=tuple(self.root / index.filename(row) for row in range(rows.start, rows.stop)),
+            image_paths=tuple(self.root / index.filename(row) for row in rows.tolist()),
             is_keyframe=index.is_keyframe[rows],
             x_m=index.x_m[rows],
             y_m=index.y_m[rows],
@@ -195,12 +212,13 @@ class Dataset:
         return {record.name: position for position, record in enumerate(self.index.scenes)}
 
 
-def open_dataset(root: Path, version: str | None = None) -> Dataset:
+def open_dataset(root: Path, version: str | None = None, keyframes_only: bool = False) -> Dataset:
     """Open the nuScenes folder ``root``.
 
     Args:
         root: the folder that holds the version folder, ``samples`` and ``sweeps``.
         version: name of the version folder; needed only when there are several.
+        keyframes_only: leave the images between key frames out, for folders without ``sweeps``.
 
     Raises:
         DatasetError: not a nuScenes folder, a table is missing or broken.
@@ -208,7 +226,7 @@ def open_dataset(root: Path, version: str | None = None) -> Dataset:
     """
     root = Path(root).absolute()
     version = _find_version(root, version)
-    return Dataset(root=root, version=version, index=cached_index(root, version))
+    return Dataset(root=root, version=version, index=cached_index(root, version), keyframes_only=keyframes_only)
 
 
 def _find_version(root: Path, version: str | None) -> str:

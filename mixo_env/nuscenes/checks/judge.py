@@ -18,8 +18,8 @@ from mixo_env.nuscenes.selections import (
     FIRST_NIGHT_SCENE,
     FIRST_SIMULATED_SCENE,
     KNOWN_PROBLEMS,
-    SCENES_WITHOUT_CAN_BUS,
     is_published,
+    lacks_can_bus,
     scene_number,
 )
 from mixo_env.nuscenes.tables import Dataset
@@ -205,7 +205,7 @@ def _read(dataset: Dataset, name: str, cameras: tuple[str, ...]) -> tuple[Eviden
     unreadable: list[Finding] = []
     tracks: dict[str, CameraTrack] = {}
     index, position = dataset.index, dataset.position(name)
-    rows = {camera: index.images(position, dataset.channel(camera)) for camera in cameras}
+    rows = {camera: dataset.rows(name, camera) for camera in cameras}
     for camera in cameras:
         try:
             tracks[camera] = dataset.track(name, camera)
@@ -227,7 +227,7 @@ def _read(dataset: Dataset, name: str, cameras: tuple[str, ...]) -> tuple[Eviden
         can_bus=can_bus_of(sent),
         message_times_us=times,
         is_can_bus_readable=not any(finding.check == "can-file" for finding in unreadable),
-        expects_can_bus=folder.is_dir() and not (is_published(dataset.version) and name in SCENES_WITHOUT_CAN_BUS),
+        expects_can_bus=folder.is_dir() and not lacks_can_bus(dataset.version, name),
     )
     return evidence, unreadable
 

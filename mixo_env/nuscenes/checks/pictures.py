@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections import Counter
 from collections.abc import Iterator
+from pathlib import Path
 
 import numpy as np
 
@@ -29,8 +30,14 @@ def image_files(evidence: Evidence) -> Iterator[Finding]:
         faults = [(image_fault(path, width, height), path) for path in track.image_paths]
         counts = Counter(fault for fault, _ in faults if fault is not None)
         for fault, count in counts.items():
-            first = next(path for found, path in faults if found == fault)
-            yield Finding("images", f"{camera}: {count} of {len(faults)} images are {fault}, first {first}")
+            paths = [path for found, path in faults if found == fault]
+            hint = ": only key frames are unpacked? see --key-frames" if _no_sweeps(fault, paths, track) else ""
+            yield Finding("images", f"{camera}: {count} of {len(faults)} images are {fault}, first {paths[0]}{hint}")
+
+
+def _no_sweeps(fault: str, paths: list[Path], track: CameraTrack) -> bool:
+    """Whether just the images between key frames are missing."""
+    return fault == "missing" and len(paths) == int(np.count_nonzero(~track.is_keyframe)) and "sweeps" in paths[0].parts
 
 
 def image_gaps(evidence: Evidence) -> Iterator[Finding]:
