@@ -11,8 +11,12 @@ from pathlib import Path
 import pytest
 
 from mixo_env.cli.main import main
-from tests.folder_faults import FAULTS, SCENE, can, each
+from tests.fault_ways import SCENE, can, each
+from tests.folder_faults import BORDER_FAULTS
 from tests.nuscenes_fixture import DRIVES, write_nuscenes
+from tests.scene_faults import SCENE_FAULTS
+
+FAULTS = BORDER_FAULTS | SCENE_FAULTS
 
 # A fault of one camera's rows may also be met as "this camera is not there", where the folder is taken as it is.
 INSPECTED_AS_IT_IS = {"camera-absent", "empty-sample_data"}

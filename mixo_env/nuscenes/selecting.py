@@ -57,7 +57,7 @@ def select(dataset: Dataset, selection: str) -> tuple[str, ...]:
     splits = _splits(dataset)
     if selection not in splits:
         hint = (
-            "" if splits else "; official splits need splits.json in the version folder, or nuscenes-devkit installed"
+            "" if splits else "; official splits need splits.json beside the tables, or nuscenes-devkit installed"
         )
         raise ConfigurationError(unknown("selection", selection, (*SELECTIONS, *splits)) + hint)
     return tuple(sorted(set(splits[selection]) & set(dataset.scene_names)))
