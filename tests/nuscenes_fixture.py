@@ -9,7 +9,9 @@ time order, one scene stands still, one crosses yaw +-pi, one is at night, one l
 
 from __future__ import annotations
 
+import functools
 import hashlib
+import io
 import json
 import math
 from dataclasses import dataclass, field
@@ -123,6 +125,14 @@ def token(*parts: object) -> str:
     return hashlib.md5("/".join(map(str, parts)).encode()).hexdigest()
 
 
+@functools.cache
+def grey_jpeg(width: int = 1600, height: int = 900) -> bytes:
+    """A whole JPEG of one grey level: three kilobytes."""
+    out = io.BytesIO()
+    Image.new("L", (width, height), 90).save(out, "JPEG", progressive=True, optimize=True, quality=5)
+    return out.getvalue()
+
+
 def _quaternion(matrix: np.ndarray) -> list[float]:
     """w, x, y, z by the textbook case distinction (another way than the package's)."""
     m = matrix
@@ -164,7 +174,7 @@ def write_nuscenes(
     images: bool = True,
     seed: int = 0,
 ) -> dict[str, SceneTruth]:
-    """Write tables, tiny images and CAN bus files under ``root``; returns the truth by scene name."""
+    """Write tables, empty images and CAN bus files under ``root``; returns the truth by scene name."""
     rng = np.random.default_rng(seed)
     tables: dict[str, list[dict]] = {name: [] for name in TABLES}
     channels = [*RIG, "LIDAR_TOP"]
@@ -271,7 +281,7 @@ def _write_scene(root, tables, drive: Drive, duration_s, images, rng) -> SceneTr
                 truth.pose.append((x, y, yaw))
                 if images:
                     (root / filename).parent.mkdir(parents=True, exist_ok=True)
-                    Image.new("RGB", (16, 9), (i % 256, 90, 120)).save(root / filename)
+                    (root / filename).write_bytes(grey_jpeg())
         if channel in RIG:
             cameras[channel] = truth
     return SceneTruth(drive, cameras)

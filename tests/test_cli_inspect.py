@@ -27,12 +27,12 @@ def folder(tmp_path_factory) -> Path:
 def test_problem_gives_exit_code_1(folder):
     done = mixo("inspect", folder)
     assert done.returncode == 1, done.stderr
-    assert "scene-2757: no CAN bus data" in done.stdout
+    assert "scene-2757: can-bus: no CAN bus data" in done.stdout
     assert "4 scenes, 0.05 km, 1 with problems: not sound" in done.stdout
 
 
 def test_sound_scenes_give_exit_code_0_and_json(folder):
-    done = mixo("inspect", folder, "--json", "--all-cameras", "--scenes", "scene-2061", "scene-2103")
+    done = mixo("inspect", folder, "--json", "--cameras", "all", "--scenes", "scene-2061", "scene-2103")
     assert done.returncode == 0, done.stderr
     report = json.loads(done.stdout)
     assert report["is_sound"]

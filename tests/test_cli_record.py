@@ -24,7 +24,7 @@ def root(tmp_path_factory):
 
 def test_a_folder_becomes_a_recording(root, tmp_path, capsys, caplog):
     assert main(["record", str(root), "--out", str(tmp_path / "run")]) == 0
-    assert "skipped scene-2757: no CAN bus" in caplog.text
+    assert "skipped scene-2757: can-bus: no CAN bus" in caplog.text
     assert "1 scenes" in capsys.readouterr().out
     recordings = load_recordings(tmp_path / "run")
     assert [scene.name for scene in recordings.scenes] == ["scene-2061"]

@@ -295,7 +295,7 @@ class TestBadInput:
         assert open_dataset(small, "v1.0-trainval").scene_names == ("scene-2103",)
 
     def test_repeated_time(self, small):
-        rewrite(small / "v1.0-mini" / "sample_data.json", lambda rows: [row | {"timestamp": 5} for row in rows])
+        rewrite(small / "v1.0-mini" / "sample_data.json", lambda rows: [row | {"timestamp": 10**15} for row in rows])
         with pytest.raises(DatasetError, match="repeat the time of the one before"):
             open_dataset(small).load("scene-2061")
 
@@ -387,6 +387,7 @@ class TestRealData:
             for frame in frames[name]:
                 data.append(
                     {
+                        "token": token(frame["filename"]),
                         "sample_token": scenes[name]["first_sample_token"],
                         "ego_pose_token": frame["sample_data_token"] if "sample_data_token" in frame else token(frame),
                         "calibrated_sensor_token": calibration[name]["calibrated_sensor_token"],
@@ -400,6 +401,7 @@ class TestRealData:
                 poses.append(
                     {
                         "token": data[-1]["ego_pose_token"],
+                        "timestamp": frame["timestamp"],
                         "translation": frame["egoTranslation"],
                         "rotation": frame["egoRotation_wxyz"],
                     }

@@ -8,19 +8,25 @@ from typing import TYPE_CHECKING, ClassVar
 
 import tyro
 
+from mixo_env.errors import printable
+
 if TYPE_CHECKING:
-    from mixo_env.nuscenes.inspection import Inspection
+    from mixo_env.nuscenes.checks.judge import Inspection
+    from mixo_env.nuscenes.tables import Dataset
 
 
 @dataclass(frozen=True)
 class Inspect:
     """Check the tables, images, calibration, times and CAN bus of a nuScenes folder, real or simulated.
 
-    Exit code 1 if something is wrong with the data. The first run on a folder reads its tables and keeps a cache.
+    `mixo record` skips the scenes in which this finds a problem, with the same words. Exit code 1 if something is wrong
+    with the data. The first run on a folder reads its tables and keeps a cache.
 
     Worked examples:
       mixo inspect /data/nuscenes
       mixo inspect /data/nuscenes --version v1.0-trainval --scenes scene-0061 scene-0103
+      mixo inspect /data/nuscenes --cameras all
+      mixo inspect /data/nuscenes --selection paper736
       mixo inspect my-city --json > report.json
     """
 
@@ -31,9 +37,14 @@ class Inspect:
     version: str | None = None
     """Version folder; needed only if there are several."""
     scenes: tuple[str, ...] = ()
-    """Scenes to check; all by default."""
-    all_cameras: bool = False
-    """Check all six cameras instead of the paper's four."""
+    """Scenes to check; those of the selection by default."""
+    selection: str = "all"
+    """Scenes by name: all, day, night, rain, moving (5 m or more), paper736, or an official split such as val, whose
+    list is read from splits.json in the version folder or from an installed nuscenes-devkit."""
+    key_frames: bool = False
+    """Leave the images between key frames (sweeps) out: 2 Hz."""
+    cameras: tuple[str, ...] = ()
+    """Cameras to check, or "all"; by default the paper's four, or those of them that are there."""
     json: bool = False
     """Print the report as JSON instead of a table."""
 
@@ -44,18 +55,16 @@ class Inspect:
         from rich.console import Console
         from rich.progress import track
 
-        from mixo_env.nuscenes.inspection import Inspection, inspect_scene, problems_of_folder
-        from mixo_env.nuscenes.selections import CAMERAS
+        from mixo_env.nuscenes.checks.judge import Inspection, judge, problems_of_folder
+        from mixo_env.nuscenes.selecting import chosen
         from mixo_env.nuscenes.tables import open_dataset
 
-        dataset = open_dataset(self.root, self.version)
-        cameras = dataset.channels if self.all_cameras else CAMERAS
-        names = self.scenes or dataset.scene_names
-        scenes = [dataset.scenes[dataset.position(name)] for name in names]
+        dataset = open_dataset(self.root, self.version, self.key_frames)
+        cameras = _cameras(dataset, self.cameras)
+        names = chosen(dataset, self.scenes, self.selection)
         console = Console(stderr=True)
         reports = [
-            inspect_scene(dataset, scene, cameras)
-            for scene in track(scenes, "inspecting", console=console, transient=True)
+            judge(dataset, name, cameras) for name in track(names, "inspecting", console=console, transient=True)
         ]
         inspection = Inspection(str(dataset.root), dataset.version, problems_of_folder(dataset), reports)
         if self.json:
@@ -65,43 +74,88 @@ class Inspect:
         return 0 if inspection.is_sound else 1
 
 
+def _cameras(dataset: Dataset, wanted: tuple[str, ...]) -> tuple[str, ...]:
+    """The cameras to check: those wanted, else the paper's, as far as images of them are listed and unpacked."""
+    from mixo_env.nuscenes.selections import CAMERAS
+
+    if wanted == ("all",):
+        return dataset.channels
+    if wanted:
+        for camera in wanted:
+            dataset.channel(camera)
+        return tuple(dict.fromkeys(wanted))
+    listed = [camera for camera in CAMERAS if camera in dataset.channels and dataset.has_images(camera)]
+    unpacked = [camera for camera in listed if dataset.has_folder(camera)]
+    return tuple(unpacked or listed or dataset.channels)
+
+
 def _print_table(inspection: Inspection) -> None:
     from rich.console import Console
     from rich.markup import escape
     from rich.table import Table
 
+    def shown(text: object) -> str:
+        return escape(printable(str(text)))
+
+    def number(value: float | None, spec: str, factor: float = 1.0) -> str:
+        return "" if value is None else format(factor * value, spec)
+
     console = Console()
-    table = Table(title=f"{inspection.root}, {inspection.version}", title_justify="left")
+    table = Table(title=shown(f"{inspection.root}, {inspection.version}"), title_justify="left")
     for heading in ("scene", "conditions"):
         table.add_column(heading, no_wrap=True)
     for heading in ("s", "m", "turn °", "images", "gyro r", "wheels"):
         table.add_column(heading, justify="right", no_wrap=True)
+    measures = Table()
+    for heading in ("scene", *_RATES, "latency ms", "lag ms", "course °", "noise °"):
+        measures.add_column(heading, justify="left" if heading == "scene" else "right", no_wrap=True)
     for scene in inspection.scenes:
+        style = "red" if scene.problems else None
         table.add_row(
-            scene.name,
+            shown(scene.name),
             " ".join(scene.conditions),
             f"{scene.duration_s:.1f}",
             f"{scene.distance_m:.1f}",
             f"{scene.turn_deg:.1f}",
             str(sum(scene.images.values())),
-            "" if scene.gyro_correlation is None else f"{scene.gyro_correlation:.3f}",
-            "" if scene.wheel_ratio is None else f"{scene.wheel_ratio:.3f}",
-            style="red" if scene.problems else None,
+            number(scene.gyro_correlation, ".3f"),
+            number(scene.wheel_ratio, ".3f"),
+            style=style,
+        )
+        measures.add_row(
+            shown(scene.name),
+            *(number(scene.rates_hz.get(message), ".0f") for message in _RATES.values()),
+            number(scene.imu_latency_s, ".0f", 1e3),
+            number(scene.pose_lag_s, ".0f", 1e3),
+            number(scene.course_offset_deg, ".1f"),
+            number(scene.truth_noise_deg, ".3f"),
+            style=style,
         )
     console.print(table)
     console.print(
         "gyro r: correlation of ms_imu with the poses' yaw rate, where the car turns. "
         "wheels: distance rolled at r = 0.305 m over true distance."
     )
+    console.print(measures)
+    console.print(
+        "Hz: messages a second. latency: of the copies of ms_imu in `pose`. lag: how late the poses follow ms_imu. "
+        "course: direction of motion minus heading. noise: RMS difference of half-second turns, poses against ms_imu."
+    )
     for problem in inspection.problems:
-        console.print(f"[red]problem[/red] {escape(problem)}", soft_wrap=True, highlight=False)
+        console.print(f"[red]problem[/red] {shown(problem)}", soft_wrap=True, highlight=False)
     for scene in inspection.scenes:
         for kind, remarks in (("[red]problem[/red]", scene.problems), ("note", scene.notes)):
             for remark in remarks:
-                console.print(f"{kind} {scene.name}: {escape(remark)}", soft_wrap=True, highlight=False)
+                console.print(f"{kind} {shown(scene.name)}: {shown(remark)}", soft_wrap=True, highlight=False)
+    cameras = sorted({camera for scene in inspection.scenes for camera in scene.images})
     total_km = 1e-3 * sum(scene.distance_m for scene in inspection.scenes)
     bad = sum(bool(scene.problems) for scene in inspection.scenes)
     verdict = "sound" if inspection.is_sound else "not sound"
+    console.print(f"cameras: {', '.join(cameras) or 'none'}", soft_wrap=True, highlight=False)
     console.print(
         f"{len(inspection.scenes)} scenes, {total_km:.2f} km, {bad} with problems: {verdict}", highlight=False
     )
+
+
+_RATES = {"wheel Hz": "zoe_veh_info", "IMU Hz": "ms_imu", "pose Hz": "pose", "monitor Hz": "vehicle_monitor"}
+"""Heading -> message."""

@@ -47,6 +47,16 @@ def commands() -> dict[str, type]:
     }
 
 
+class _Printable(logging.Formatter):
+    """Log lines may quote names and errors from files: what would move the cursor is shown as an escape."""
+
+    def format(self, record: logging.LogRecord) -> str:
+        """The message on one line."""
+        from mixo_env.errors import printable
+
+        return printable(super().format(record))
+
+
 def main(argv: list[str] | None = None) -> int:
     """Parse ``argv`` (default: the process arguments), run the command, return its exit code.
 
@@ -74,7 +84,9 @@ def run(arguments: list[str]) -> int:
         print(f"mixo {__version__}")
         return 0
     verbose = "-v" in arguments
-    logging.basicConfig(format="%(message)s", level=logging.INFO if verbose else logging.WARNING)
+    handler = logging.StreamHandler()
+    handler.setFormatter(_Printable("%(message)s"))
+    logging.basicConfig(handlers=[handler], level=logging.INFO if verbose else logging.WARNING)
     left = "nothing was done"
     try:
         command: Command = tyro.extras.subcommand_cli_from_dict(

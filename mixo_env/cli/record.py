@@ -16,14 +16,17 @@ class Record:
     """Run the experts over a nuScenes folder, real or simulated, and keep what they say.
 
     Images are read here and never again: environments, policies and scores work on the recording. An interrupted run
-    continues where it stopped; scenes that cannot be recorded are skipped with a reason.
+    continues where it stopped; scenes that cannot be recorded, or in which `mixo inspect` finds a problem, are skipped
+    with the reason.
 
     Worked examples:
 
       mixo record city --out recorded                                     a simulated folder
       mixo record /data/nuscenes --out trainval --workers 8               everything you have
       mixo record /data/nuscenes --out two --scenes scene-0655 scene-0757
+      mixo record /data/nuscenes --out paper --selection paper736 --folds contiguous --preset paper
       mixo record city --out front --cameras CAM_FRONT CAM_FRONT_LEFT
+      mixo record city --out recorded --despite gyro-size clock-offset
       mixo record city --out recorded --retrained CAM_BACK_RIGHT          rows "w/ retrained vocabulary" of the paper
       mixo benchmark --recordings recorded                                what to do next
     """
@@ -42,7 +45,12 @@ class Record:
     version: str | None = None
     """Tables to use, e.g. v1.0-trainval; needed only when the folder holds several."""
     scenes: tuple[str, ...] = ()
-    """Scenes to record; all by default."""
+    """Scenes to record; those of the selection by default."""
+    selection: str = "all"
+    """Scenes by name: all, day, night, rain, moving (5 m or more), paper736, or an official split such as val, whose
+    list is read from splits.json in the version folder or from an installed nuscenes-devkit."""
+    key_frames: bool = False
+    """Leave the images between key frames (sweeps) out: 2 Hz."""
     cameras: tuple[str, ...] = CAMERAS
     """Cameras to record; the paper's four by default."""
     preset: Literal["fast", "paper"] = "fast"
@@ -51,6 +59,8 @@ class Record:
     """Folds of the cross-validation: whole drives, or the paper's contiguous blocks of scenes."""
     retrained: tuple[str, ...] = ()
     """Cameras to record once more with a vocabulary retrained on 20 % of the images of the other folds."""
+    despite: tuple[str, ...] = ()
+    """Checks of `mixo inspect` whose problems are accepted, by the name that stands before the remark."""
     data_version: str | None = None
     """Name of the data in every result; the version of the tables by default."""
 
@@ -61,6 +71,8 @@ class Record:
 
         from mixo_env.errors import ConfigurationError, unknown
         from mixo_env.experts.monocular.config import MonocularConfig
+        from mixo_env.nuscenes.checks.judge import JudgedDataset
+        from mixo_env.nuscenes.selecting import chosen
         from mixo_env.nuscenes.tables import open_dataset
         from mixo_env.recordings.record import RecordConfig, record
         from mixo_env.recordings.vocabularies import retrain
@@ -69,10 +81,14 @@ class Record:
             if camera not in self.cameras:
                 raise ConfigurationError(unknown("camera to retrain for", camera, self.cameras))
         monocular = MonocularConfig.preset(self.preset)
-        dataset = open_dataset(self.root, self.version)
+        dataset = open_dataset(self.root, self.version, self.key_frames)
+        for camera in self.cameras:
+            dataset.channel(camera)
+        scenes = chosen(dataset, self.scenes, self.selection)
+        judged = JudgedDataset(dataset, self.despite)
         config = RecordConfig(
             cameras=self.cameras,
-            scenes=self.scenes,
+            scenes=scenes,
             monocular=monocular,
             folds=self.folds,
             data_version=self.data_version,
@@ -81,7 +97,7 @@ class Record:
                 self.retrained,
                 monocular,
                 self.out,
-                scenes=self.scenes,
+                scenes=scenes,
                 folds=self.folds,
                 workers=self.workers,
             ),
@@ -90,7 +106,7 @@ class Record:
         with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
             task = bar.add_task("recording scenes", total=None)
             recordings = record(
-                dataset,
+                judged,
                 config,
                 self.out,
                 workers=self.workers,

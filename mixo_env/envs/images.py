@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from mixo_env.errors import RecordingError
+from mixo_env.errors import DatasetError, RecordingError
+from mixo_env.nuscenes.images import read_jpeg
 from mixo_env.recordings.collection import Recordings
 
 THUMBNAIL = (64, 112, 3)
@@ -48,8 +49,8 @@ class SceneImages:
             return np.zeros(shape, np.uint8)
         height, width, _ = shape
         try:
-            image = simplejpeg.decode_jpeg(path.read_bytes(), "RGB", fastdct=True, min_height=height, min_width=width)
-        except (OSError, ValueError) as error:
+            image = simplejpeg.decode_jpeg(read_jpeg(path), "RGB", fastdct=True, min_height=height, min_width=width)
+        except (DatasetError, ValueError) as error:
             raise RecordingError(f"{path} cannot be read as JPEG ({error}): check dataroot") from None
         return np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
 

@@ -19,9 +19,10 @@ import numpy as np
 from mixo_env.caches import user_cache_folder
 from mixo_env.errors import DatasetError, OutputError
 from mixo_env.files import atomic_path
+from mixo_env.nuscenes.files import open_file
 from mixo_env.nuscenes.index import TABLES, CalibrationRecord, ImageIndex, SceneRecord, build_index
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 
 logger = logging.getLogger(__name__)
 
@@ -49,14 +50,16 @@ def cached_index(root: Path, version: str) -> ImageIndex:
         DatasetError: as :func:`mixo_env.nuscenes.index.build_index`.
     """
     sources = _sources(root / version)
-    candidates = (root / ".mixo-cache" / f"{version}.npz", user_cache_folder() / f"{_root_key(root)}-{version}.npz")
+    beside = root / ".mixo-cache"
+    candidates = (beside / f"{version}.npz", user_cache_folder() / f"{_root_key(root)}-{version}.npz")
     for path in candidates:
         index = _load(path, version, sources)
         if index is not None:
             return index
     logger.info("reading the tables of %s (once; later runs use a cache)", root / version)
     index = build_index(root / version)
-    for path in candidates:
+    # A link would lead out of the folder, to wherever whoever packed it wants a file.
+    for path in candidates[1:] if beside.is_symlink() else candidates:
         try:
             _save(path, index, version, sources)
             break
@@ -85,16 +88,18 @@ def _sources(folder: Path) -> dict[str, tuple[int, int]]:
 def _load(path: Path, version: str, sources: dict[str, tuple[int, int]]) -> ImageIndex | None:
     """The cached index, or ``None`` when there is none, or it is stale or damaged."""
     try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
+        with open_file(path) as file, np.load(file, allow_pickle=False) as archive:
             header = msgspec.json.decode(archive["header"].tobytes(), type=_Header)
             if (header.schema_version, header.version, header.sources) != (SCHEMA_VERSION, version, sources):
                 logger.info("cache %s is older than the tables", path)
                 return None
             texts = {name: tuple(getattr(header, name)) for name in _TEXT_FIELDS}
-            return ImageIndex(**texts, **{name: archive[name] for name in _ARRAY_FIELDS})
+            index = ImageIndex(**texts, **{name: archive[name] for name in _ARRAY_FIELDS})
+            index.check(str(path))  # a folder may come with a cache that its tables did not make
+            return index
     except FileNotFoundError:
         return None
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, msgspec.MsgspecError) as error:
+    except (DatasetError, OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
         logger.info("cache %s cannot be used: %s", path, error)
         return None
 

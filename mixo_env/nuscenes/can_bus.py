@@ -7,6 +7,7 @@ in rpm, ``vehicle_monitor`` in km/h and deg/s, ``ms_imu`` and ``pose`` in rad/s 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
@@ -14,48 +15,50 @@ import msgspec
 import numpy as np
 
 from mixo_env.errors import DatasetError
-from mixo_env.nuscenes.scene import CanBus, FloatArray, Signal
+from mixo_env.nuscenes.files import read_file
+from mixo_env.nuscenes.limits import LONGEST_SCENE_S, Reading, TimeUs
+from mixo_env.nuscenes.scene import CanBus, FloatArray, IntArray, Signal
 
 RADPS_PER_RPM = 2.0 * np.pi / 60.0
 MPS_PER_KMPH = 1.0 / 3.6
 RADPS_PER_DEGPS = np.pi / 180.0
 
-Vector = tuple[float, float, float]
+Vector = tuple[Reading, Reading, Reading]
 
 
 class _ZoeVehInfo(msgspec.Struct, gc=False):
-    utime: int
-    front_left_rpm: float = msgspec.field(name="FL_wheel_speed")
-    front_right_rpm: float = msgspec.field(name="FR_wheel_speed")
-    rear_left_rpm: float = msgspec.field(name="RL_wheel_speed")
-    rear_right_rpm: float = msgspec.field(name="RR_wheel_speed")
+    utime: TimeUs
+    front_left_rpm: Reading = msgspec.field(name="FL_wheel_speed")
+    front_right_rpm: Reading = msgspec.field(name="FR_wheel_speed")
+    rear_left_rpm: Reading = msgspec.field(name="RL_wheel_speed")
+    rear_right_rpm: Reading = msgspec.field(name="RR_wheel_speed")
 
 
 class _MsImu(msgspec.Struct, gc=False):
-    utime: int
+    utime: TimeUs
     rotation_rate: Vector
 
 
 class _Pose(msgspec.Struct, gc=False):
-    utime: int
+    utime: TimeUs
     vel: Vector
     rotation_rate: Vector
 
 
 class _VehicleMonitor(msgspec.Struct, gc=False):
-    utime: int
-    vehicle_speed: float
-    yaw_rate: float
+    utime: TimeUs
+    vehicle_speed: Reading
+    yaw_rate: Reading
 
 
 class _SteeringAngleFeedback(msgspec.Struct, gc=False):
-    utime: int
-    value: float
+    utime: TimeUs
+    value: Reading
 
 
 class _ProductionGyro(msgspec.Struct, gc=False):
-    utime: int
-    yaw_rate: float
+    utime: TimeUs
+    yaw_rate: Reading
 
 
 Message = _ZoeVehInfo | _MsImu | _Pose | _VehicleMonitor | _SteeringAngleFeedback | _ProductionGyro
@@ -72,6 +75,22 @@ MESSAGES = (
 """Message files that are read; ``production_gyro`` exists in simulated folders only."""
 
 
+@dataclass(frozen=True)
+class Messages:
+    """The rows of every message of one scene, as they stand in the files; an absent message is an empty list."""
+
+    zoe_veh_info: list[_ZoeVehInfo]
+    ms_imu: list[_MsImu]
+    pose: list[_Pose]
+    vehicle_monitor: list[_VehicleMonitor]
+    steeranglefeedback: list[_SteeringAngleFeedback]
+    production_gyro: list[_ProductionGyro]
+
+    def times_us(self, message: str) -> IntArray:
+        """``(n,)`` times of one message in the order of its file."""
+        return np.array([row.utime for row in getattr(self, message)], dtype=np.int64)
+
+
 def read_can_bus(folder: Path, scene: str) -> CanBus | None:
     """The CAN bus of ``scene``; ``None`` when ``folder`` holds none of its messages.
 
@@ -83,29 +102,46 @@ def read_can_bus(folder: Path, scene: str) -> CanBus | None:
         Signals in SI units, sorted by time; a message whose file is missing or empty leaves its signals ``None``.
 
     Raises:
-        DatasetError: a file is truncated, or lacks a field or holds a value that is not a number.
+        DatasetError: as :func:`read_messages`.
     """
-    wheels = _read(folder, scene, "zoe_veh_info", _ZoeVehInfo)
-    imu = _read(folder, scene, "ms_imu", _MsImu)
-    pose = _read(folder, scene, "pose", _Pose)
-    monitor = _read(folder, scene, "vehicle_monitor", _VehicleMonitor)
-    steering = _read(folder, scene, "steeranglefeedback", _SteeringAngleFeedback)
-    production = _read(folder, scene, "production_gyro", _ProductionGyro)
-    if not any((wheels, imu, pose, monitor, steering, production)):
+    return can_bus_of(read_messages(folder, scene))
+
+
+def read_messages(folder: Path, scene: str) -> Messages:
+    """All message files of ``scene``.
+
+    Raises:
+        DatasetError: a file is truncated, is no file, lacks a field, or holds a value that is not a number or beyond
+            sense (``mixo_env.nuscenes.limits``).
+    """
+    return Messages(
+        zoe_veh_info=_read(folder, scene, "zoe_veh_info", _ZoeVehInfo),
+        ms_imu=_read(folder, scene, "ms_imu", _MsImu),
+        pose=_read(folder, scene, "pose", _Pose),
+        vehicle_monitor=_read(folder, scene, "vehicle_monitor", _VehicleMonitor),
+        steeranglefeedback=_read(folder, scene, "steeranglefeedback", _SteeringAngleFeedback),
+        production_gyro=_read(folder, scene, "production_gyro", _ProductionGyro),
+    )
+
+
+def can_bus_of(messages: Messages) -> CanBus | None:
+    """Signals in SI units, sorted by time; ``None`` without a single message."""
+    if not any(getattr(messages, name) for name in MESSAGES):
         return None
+    pose, monitor = _sorted(messages.pose), _sorted(messages.vehicle_monitor)
     return CanBus(
         wheel_speed_radps=_signal(
-            wheels,
+            _sorted(messages.zoe_veh_info),
             lambda row: (row.front_left_rpm, row.front_right_rpm, row.rear_left_rpm, row.rear_right_rpm),
             RADPS_PER_RPM,
         ),
-        imu_yaw_rate_radps=_signal(imu, lambda row: row.rotation_rate[2]),
+        imu_yaw_rate_radps=_signal(_sorted(messages.ms_imu), lambda row: row.rotation_rate[2]),
         pose_speed_mps=_signal(pose, lambda row: row.vel[0]),
         pose_yaw_rate_radps=_signal(pose, lambda row: row.rotation_rate[2]),
         monitor_yaw_rate_radps=_signal(monitor, lambda row: row.yaw_rate, RADPS_PER_DEGPS),
         monitor_speed_mps=_signal(monitor, lambda row: row.vehicle_speed, MPS_PER_KMPH),
-        steering_wheel_rad=_signal(steering, lambda row: row.value),
-        consumer_yaw_rate_radps=_signal(production, lambda row: row.yaw_rate),
+        steering_wheel_rad=_signal(_sorted(messages.steeranglefeedback), lambda row: row.value),
+        consumer_yaw_rate_radps=_signal(_sorted(messages.production_gyro), lambda row: row.yaw_rate),
     )
 
 
@@ -119,16 +155,28 @@ def scenes_with_can_bus(folder: Path) -> frozenset[str]:
 
 
 def _read(folder: Path, scene: str, message: str, row_type: type[MessageT]) -> list[MessageT]:
-    """Rows of one message in time order (files are nearly always sorted already); empty when there is no file."""
+    """Rows of one message in file order; empty when there is no file."""
     path = folder / f"{scene}_{message}.json"
     try:
-        rows = msgspec.json.decode(path.read_bytes(), type=list[row_type])
+        rows = msgspec.json.decode(read_file(path), type=list[row_type])
     except FileNotFoundError:
         return []
-    except OSError as error:
-        raise DatasetError(f"{path} cannot be read: {error.strerror}") from error
-    except msgspec.MsgspecError as error:
-        raise DatasetError(f"{path} is not a valid CAN bus file: {error}; unpack it again") from error
+    except (msgspec.MsgspecError, UnicodeDecodeError) as error:
+        raise _broken(path, str(error)) from None
+    except RecursionError:
+        raise _broken(path, "it is too deeply nested") from None
+    times = [row.utime for row in rows]
+    if rows and max(times) - min(times) > 1e6 * LONGEST_SCENE_S:
+        raise _broken(path, f"its times span {1e-6 * (max(times) - min(times)):.0f} s; a scene lasts 20 s")
+    return rows
+
+
+def _broken(path: Path, reason: str) -> DatasetError:
+    return DatasetError(f"{path} is not a valid CAN bus file: {reason}; unpack it again")
+
+
+def _sorted(rows: list[MessageT]) -> list[MessageT]:
+    """In time order; files nearly always are already."""
     return sorted(rows, key=lambda row: row.utime)
 
 

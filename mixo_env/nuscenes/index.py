@@ -7,8 +7,10 @@ ordered by scene, camera and *time*: ``prev``/``next`` chains are not needed and
 from __future__ import annotations
 
 from array import array
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple, TypeVar
 
 import msgspec
 import numpy as np
@@ -16,7 +18,9 @@ from numpy.typing import NDArray
 
 from mixo_env.errors import DatasetError
 from mixo_env.geometry import yaw_from_quaternion_wxyz
-from mixo_env.nuscenes.json_rows import read_rows
+from mixo_env.nuscenes.json_rows import broken, read_blocks
+from mixo_env.nuscenes.limits import Component, Coordinate, Count, Pixels, Side, TimeUs
+from mixo_env.nuscenes.names import check_channel, check_name, check_path, check_text
 
 TABLES = ("scene", "log", "sample", "sensor", "calibrated_sensor", "sample_data", "ego_pose")
 """Tables that odometry needs, of the thirteen."""
@@ -27,7 +31,7 @@ class _SceneRow(msgspec.Struct, gc=False):
     name: str
     description: str
     log_token: str
-    nbr_samples: int
+    nbr_samples: Count
 
 
 class _LogRow(msgspec.Struct, gc=False):
@@ -51,26 +55,28 @@ class _SensorRow(msgspec.Struct, gc=False):
 class _CalibratedSensorRow(msgspec.Struct, gc=False):
     token: str
     sensor_token: str
-    translation: tuple[float, float, float]
-    rotation: tuple[float, float, float, float]
-    camera_intrinsic: list[list[float]]
+    translation: tuple[Component, Component, Component]
+    rotation: tuple[Component, Component, Component, Component]
+    camera_intrinsic: list[list[Pixels]]
 
 
 class _SampleDataRow(msgspec.Struct, gc=False):
+    token: str
     sample_token: str
     ego_pose_token: str
     calibrated_sensor_token: str
     filename: str
-    timestamp: int
+    timestamp: TimeUs
     is_key_frame: bool
-    width: int
-    height: int
+    width: Side
+    height: Side
 
 
 class _EgoPoseRow(msgspec.Struct, gc=False):
     token: str
-    translation: tuple[float, float, float]
-    rotation: tuple[float, float, float, float]
+    timestamp: TimeUs
+    translation: tuple[Coordinate, Coordinate, Coordinate]
+    rotation: tuple[Component, Component, Component, Component]
 
 
 class SceneRecord(msgspec.Struct, frozen=True):
@@ -109,6 +115,8 @@ class ImageIndex:
         timestamp_us: ``(n,)`` Unix microseconds, ascending within a scene and camera.
         x_m, y_m, yaw_rad: ``(n,)`` ego pose of each image (map frame); NaN where the pose row is missing.
         quaternion_norm: ``(n,)`` length of the pose quaternion: 1 in sound data.
+        tilt_rad: ``(n,)`` angle between the ego's z axis and the map's: next to 0 in sound data.
+        pose_delay_s: ``(n,)`` time of the pose row minus that of the image: 0 in sound data.
         is_keyframe: ``(n,)`` bool.
         calibration: ``(n,)`` index into ``calibrations``.
         filename_pattern: ``(n,)`` index into ``filename_patterns``.
@@ -124,9 +132,37 @@ class ImageIndex:
     y_m: NDArray[np.float64]
     yaw_rad: NDArray[np.float64]
     quaternion_norm: NDArray[np.float32]
+    tilt_rad: NDArray[np.float32]
+    pose_delay_s: NDArray[np.float32]
     is_keyframe: NDArray[np.bool_]
     calibration: NDArray[np.int32]
     filename_pattern: NDArray[np.int32]
+
+    def check(self, where: str) -> None:
+        """See that the columns fit each other and that no name leads out of the folder.
+
+        Raises:
+            DatasetError: they do not.
+        """
+        count = len(self.timestamp_us)
+        columns = (self.x_m, self.y_m, self.yaw_rad, self.quaternion_norm, self.tilt_rad, self.pose_delay_s)
+        columns += (self.is_keyframe, self.calibration, self.filename_pattern)
+        groups = len(self.scenes) * len(self.channels)
+        fits = all(column.shape == (count,) for column in columns) and self.offset.shape == (groups + 1,)
+        fits = fits and self.offset[0] == 0 and self.offset[-1] == count and bool(np.all(np.diff(self.offset) >= 0))
+        for column, names in (
+            (self.calibration, self.calibrations),
+            (self.filename_pattern, self.filename_patterns),
+        ):
+            fits = fits and (not count or bool(column.min() >= 0 and column.max() < len(names)))
+        if not fits:
+            raise DatasetError(f"{where}: its columns do not fit each other")
+        for scene in self.scenes:
+            check_name(where, scene.name)
+        for channel in self.channels:
+            check_channel(where, channel)
+        for pattern in self.filename_patterns:
+            check_path(where, pattern.replace("\t", "0", 1))
 
     def images(self, scene: int, channel: int) -> slice:
         """Rows of one camera in one scene."""
@@ -143,17 +179,18 @@ def build_index(version_folder: Path) -> ImageIndex:
     """Read the tables in ``version_folder``.
 
     Raises:
-        DatasetError: a table is missing or broken, or a row refers to a token that does not exist.
+        DatasetError: a table is missing, empty or broken, holds a token twice or a name that leads out of the folder,
+            or a row refers to a token that does not exist.
     """
     scenes, scene_of_sample = _read_scenes(version_folder)
     channel_of_calibrated_sensor, sensors, channels = _read_cameras(version_folder)
 
     # One entry per camera image, in file order.
-    group, timestamp_us, is_keyframe, calibration, pattern, pose_slot = (array("q") for _ in range(6))
-    slot_of_pose: dict[str, int] = {}
+    group, timestamp_us, is_keyframe, calibration, pattern, pose_hash = (array("q") for _ in range(6))
     pattern_index: dict[str, int] = {}
     calibration_index: dict[tuple[str, int, int], int] = {}
-    for row in read_rows(version_folder / "sample_data.json", _SampleDataRow):
+    table = version_folder / "sample_data.json"
+    for row in _unique(table, _SampleDataRow):
         channel = channel_of_calibrated_sensor.get(row.calibrated_sensor_token)
         if channel is None:
             raise _dangling(version_folder, "sample_data", "calibrated_sensor", row.calibrated_sensor_token)
@@ -168,13 +205,19 @@ def build_index(version_folder: Path) -> ImageIndex:
         calibration_key = (row.calibrated_sensor_token, row.width, row.height)
         calibration.append(calibration_index.setdefault(calibration_key, len(calibration_index)))
         pattern_text = row.filename.replace(str(row.timestamp), "\t", 1)
-        pattern.append(pattern_index.setdefault(pattern_text, len(pattern_index)))
-        pose_slot.append(slot_of_pose.setdefault(row.ego_pose_token, len(slot_of_pose)))
+        known = pattern_index.get(pattern_text)
+        if known is None:
+            check_path(f"{table}, row {row.token!r}", row.filename)
+            known = pattern_index[pattern_text] = len(pattern_index)
+        pattern.append(known)
+        pose_hash.append(hash(row.ego_pose_token))
 
-    pose = _read_poses(version_folder, slot_of_pose)[np.array(pose_slot, dtype=np.int64)]
+    wanted, slots = np.unique(np.array(pose_hash, dtype=np.int64), return_inverse=True)
+    pose = _read_poses(version_folder, wanted)
     group_array = np.array(group, dtype=np.int64)
     time_array = np.array(timestamp_us, dtype=np.int64)
     order = np.lexsort((time_array, group_array))
+    pose = pose.at(slots[order])
     return ImageIndex(
         scenes=scenes,
         channels=channels,
@@ -192,10 +235,12 @@ def build_index(version_folder: Path) -> ImageIndex:
         filename_patterns=tuple(pattern_index),
         offset=np.searchsorted(group_array[order], np.arange(len(scenes) * len(channels) + 1)),
         timestamp_us=time_array[order],
-        x_m=pose[order, 0],
-        y_m=pose[order, 1],
-        yaw_rad=pose[order, 2],
-        quaternion_norm=pose[order, 3].astype(np.float32),
+        x_m=pose.x_m,
+        y_m=pose.y_m,
+        yaw_rad=pose.yaw_rad,
+        quaternion_norm=pose.quaternion_norm,
+        tilt_rad=pose.tilt_rad,
+        pose_delay_s=(1e-6 * (pose.timestamp_us - time_array[order])).astype(np.float32),
         is_keyframe=np.array(is_keyframe, dtype=np.bool_)[order],
         calibration=np.array(calibration, dtype=np.int32)[order],
         filename_pattern=np.array(pattern, dtype=np.int32)[order],
@@ -204,10 +249,22 @@ def build_index(version_folder: Path) -> ImageIndex:
 
 def _read_scenes(folder: Path) -> tuple[tuple[SceneRecord, ...], dict[str, int]]:
     """Scenes by ascending name, and sample token -> position of its scene."""
-    logs = {log.token: log for log in read_rows(folder / "log.json", _LogRow)}
-    rows = sorted(read_rows(folder / "scene.json", _SceneRow), key=lambda scene: scene.name)
-    records = []
+    table = folder / "log.json"
+    logs = {log.token: log for log in _unique(table, _LogRow)}
+    for log in logs.values():
+        for kind, text in (("log", log.logfile), ("vehicle", log.vehicle), ("location", log.location)):
+            check_text(f"{table}, row {log.token!r}", kind, text)
+    table = folder / "scene.json"
+    rows = sorted(_unique(table, _SceneRow), key=lambda scene: scene.name)
+    if not rows:
+        raise broken(table, "it holds no scenes")
+    records, names = [], set()
     for row in rows:
+        check_name(f"{table}, row {row.token!r}", row.name)
+        # Two names that differ in case only are one file on many disks.
+        if row.name.casefold() in names:
+            raise broken(table, f"two scenes are named {row.name!r}")
+        names.add(row.name.casefold())
         log = logs.get(row.log_token)
         if log is None:
             raise _dangling(folder, "scene", "log", row.log_token)
@@ -216,7 +273,8 @@ def _read_scenes(folder: Path) -> tuple[tuple[SceneRecord, ...], dict[str, int]]
         )
     position = {row.token: index for index, row in enumerate(rows)}
     scene_of_sample = {}
-    for sample in read_rows(folder / "sample.json", _SampleRow):
+    table = folder / "sample.json"
+    for sample in _unique(table, _SampleRow):
         if sample.scene_token not in position:
             raise _dangling(folder, "sample", "scene", sample.scene_token)
         scene_of_sample[sample.token] = position[sample.scene_token]
@@ -225,10 +283,16 @@ def _read_scenes(folder: Path) -> tuple[tuple[SceneRecord, ...], dict[str, int]]
 
 def _read_cameras(folder: Path) -> tuple[dict[str, int], dict[str, _CalibratedSensorRow], tuple[str, ...]]:
     """Calibrated-sensor token -> channel position (-1: not a camera), rows by token, channel names."""
-    sensors = {sensor.token: sensor for sensor in read_rows(folder / "sensor.json", _SensorRow)}
+    table = folder / "sensor.json"
+    sensors = {sensor.token: sensor for sensor in _unique(table, _SensorRow)}
     channels = tuple(sorted({sensor.channel for sensor in sensors.values() if sensor.modality == "camera"}))
+    if not channels:
+        raise broken(table, "it holds no cameras")
+    for channel in channels:
+        check_channel(str(table), channel)
     rows, channel_of = {}, {}
-    for row in read_rows(folder / "calibrated_sensor.json", _CalibratedSensorRow):
+    table = folder / "calibrated_sensor.json"
+    for row in _unique(table, _CalibratedSensorRow):
         sensor = sensors.get(row.sensor_token)
         if sensor is None:
             raise _dangling(folder, "calibrated_sensor", "sensor", row.sensor_token)
@@ -239,17 +303,85 @@ def _read_cameras(folder: Path) -> tuple[dict[str, int], dict[str, _CalibratedSe
     return channel_of, rows, channels
 
 
-def _read_poses(folder: Path, slot_of_pose: dict[str, int]) -> NDArray[np.float64]:
-    """``(slots, 4)``: x, y, yaw and quaternion length of the poses asked for; NaN where the table has none."""
-    translation = np.full((len(slot_of_pose), 2), np.nan)
-    rotation = np.full((len(slot_of_pose), 4), np.nan)
-    for row in read_rows(folder / "ego_pose.json", _EgoPoseRow):
-        slot = slot_of_pose.get(row.token)
-        if slot is not None:
-            translation[slot] = row.translation[:2]
-            rotation[slot] = row.rotation
-    norm = np.linalg.norm(rotation, axis=1)
-    return np.column_stack([translation, yaw_from_quaternion_wxyz(rotation), norm])
+class _Poses(NamedTuple):
+    """Columns of the poses asked for, ``(n,)`` each; NaN where the table has none."""
+
+    x_m: NDArray[np.float64]
+    y_m: NDArray[np.float64]
+    yaw_rad: NDArray[np.float64]
+    quaternion_norm: NDArray[np.float32]
+    tilt_rad: NDArray[np.float32]
+    timestamp_us: NDArray[np.int64]
+
+    def at(self, rows: NDArray[np.int64]) -> _Poses:
+        """Some of the rows, in another order."""
+        return _Poses(
+            self.x_m[rows],
+            self.y_m[rows],
+            self.yaw_rad[rows],
+            self.quaternion_norm[rows],
+            self.tilt_rad[rows],
+            self.timestamp_us[rows],
+        )
+
+
+def _read_poses(folder: Path, wanted: NDArray[np.int64]) -> _Poses:
+    """Poses of the rows whose hashed tokens are ``wanted`` (increasing), in that order.
+
+    Millions of tokens as text would fill half a gigabyte; that their hashes differ is checked with the tokens.
+    """
+    values = np.full((len(wanted), 6), np.nan)
+    timestamp_us = np.zeros(len(wanted), np.int64)
+    table = folder / "ego_pose.json"
+    hashes = []
+    for rows in read_blocks(table, _EgoPoseRow):
+        hashes.append(np.array([hash(row.token) for row in rows], dtype=np.int64))
+        slot = np.searchsorted(wanted, hashes[-1])
+        found = np.flatnonzero(wanted[np.minimum(slot, len(wanted) - 1)] == hashes[-1]) if len(wanted) else []
+        if len(found):
+            chosen = [rows[i] for i in found]
+            values[slot[found]] = [(*row.translation[:2], *row.rotation) for row in chosen]
+            timestamp_us[slot[found]] = [row.timestamp for row in chosen]
+    _check_unique(table, np.concatenate(hashes))
+    rotation = values[:, 2:]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        norm = np.linalg.norm(rotation, axis=1)
+        _, x, y, _ = (rotation / norm[:, None]).T
+        tilt = np.arccos(np.clip(1.0 - 2.0 * (x * x + y * y), -1.0, 1.0))
+    yaw = yaw_from_quaternion_wxyz(rotation)
+    return _Poses(
+        values[:, 0],
+        values[:, 1],
+        yaw,
+        norm.astype(np.float32),
+        tilt.astype(np.float32),
+        timestamp_us,
+    )
+
+
+_Row = TypeVar("_Row", _SceneRow, _LogRow, _SampleRow, _SensorRow, _CalibratedSensorRow, _SampleDataRow)
+
+
+def _unique(table: Path, row_type: type[_Row]) -> Iterator[_Row]:
+    """The rows of a table; after the last one, their tokens are checked to differ."""
+    hashes = array("q")
+    for rows in read_blocks(table, row_type):
+        hashes.extend([hash(row.token) for row in rows])
+        yield from rows
+    _check_unique(table, np.array(hashes, dtype=np.int64))
+
+
+def _check_unique(table: Path, hashes: NDArray[np.int64]) -> None:
+    """See that no token stands in a table twice.
+
+    Eight bytes a token are 20 MB for the largest table. That two of its 2.6 million tokens share a hash by accident has
+    a chance of one in five millions.
+    """
+    ordered = np.sort(hashes)
+    repeated = ordered[1:][ordered[1:] == ordered[:-1]]
+    if len(repeated):
+        first, second = np.flatnonzero(hashes == repeated[0])[:2]
+        raise broken(table, f"{len(repeated)} tokens stand there twice, first in rows {first} and {second}")
 
 
 def _dangling(folder: Path, table: str, target: str, token: str) -> DatasetError:

@@ -27,11 +27,18 @@ KNOWN_PROBLEMS: Mapping[str, str] = {
 }
 """Remarks of the data set's authors (devkit: ``can_bus_api.py`` and "Known issues")."""
 
+PUBLISHED_VERSIONS = ("v1.0-trainval", "v1.0-mini", "v1.0-test")
+"""Table folders of the published data set."""
+
 FIRST_NIGHT_SCENE = 992
 """In the real trainval set night scenes are numbered from here on: a cross-check of the description, never the rule."""
 
 FIRST_SIMULATED_SCENE = 2001
 """Simulated scenes are numbered from here on, clear of every number of the real data set."""
+
+
+STANDING_M = 5.0
+"""A scene with a shorter way hardly moves: about one in ten of the real ones."""
 
 
 class SceneSummary(Protocol):
@@ -74,14 +81,38 @@ def scene_number(name: str) -> int | None:
     return int(match.group(1)) if match else None
 
 
-def paper_selection(scenes: Iterable[SceneSummary]) -> tuple[str, ...]:
+def is_published(version: str) -> bool:
+    """Whether the tables are those of the published data set, whose scenes are known by number.
+
+    Simulated and private folders number their scenes as they like.
+    """
+    return version in PUBLISHED_VERSIONS
+
+
+def lacks_can_bus(version: str, name: str) -> bool:
+    """Whether a scene of the published data set never had CAN bus data."""
+    return is_published(version) and name in SCENES_WITHOUT_CAN_BUS
+
+
+def paper_selection(scenes: Iterable[SceneSummary], version: str) -> tuple[str, ...]:
     """The paper's scenes: by day and with CAN bus, in ascending order of name.
 
     On the full trainval set these are 850 - 99 night - 15 without CAN bus = 736 scenes. The paper cuts them into four
     contiguous folds of 184 without stating the order; ascending scene number is our reading.
-    """
-    return tuple(sorted(scene.name for scene in scenes if "day" in scene.conditions and scene.has_can_bus))
 
+    Args:
+        scenes: of one folder.
+        version: of the tables. On published ones the lacking CAN bus is that of the authors, not of this disk.
+    """
+
+    def has_can_bus(scene: SceneSummary) -> bool:
+        return not lacks_can_bus(version, scene.name) if is_published(version) else scene.has_can_bus
+
+    return tuple(sorted(scene.name for scene in scenes if "day" in scene.conditions and has_can_bus(scene)))
+
+
+PAPER_SCENES = 736
+"""Number of scenes of the paper's selection: four folds of 184."""
 
 LIDAR_PERIOD_US = 50_000
 """One turn of the lidar: cameras fire on this grid, and two images of one camera are never closer."""

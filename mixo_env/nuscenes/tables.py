@@ -15,12 +15,15 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mixo_env.errors import ConfigurationError, DatasetError, unknown
 from mixo_env.geometry import rotation_from_quaternion_wxyz
 from mixo_env.nuscenes.cache import cached_index
 from mixo_env.nuscenes.can_bus import read_can_bus, scenes_with_can_bus
+from mixo_env.nuscenes.files import open_file
 from mixo_env.nuscenes.index import CalibrationRecord, ImageIndex
+from mixo_env.nuscenes.limits import LONGEST_SCENE_S
 from mixo_env.nuscenes.scene import CameraCalibration, CameraTrack, ExactPoses, Scene
 from mixo_env.nuscenes.selections import CAMERAS, conditions_of
 
@@ -49,15 +52,17 @@ class Dataset:
         root: the folder that holds ``v1.0-*``, ``samples``, ``sweeps`` and ``can_bus``.
         version: name of the table folder, e.g. ``"v1.0-trainval"``.
         index: all camera images as flat arrays.
+        keyframes_only: leave the images between key frames out, as if ``sweeps`` did not exist.
     """
 
     root: Path
     version: str
     index: ImageIndex
+    keyframes_only: bool = False
 
-    def __reduce__(self) -> tuple[Callable[[Path, str], Dataset], tuple[Path, str]]:
+    def __reduce__(self) -> tuple[Callable[[Path, str, bool], Dataset], tuple[Path, str, bool]]:
         """Another process opens the cache again instead of being sent the index, which is large."""
-        return open_dataset, (self.root, self.version)
+        return open_dataset, (self.root, self.version, self.keyframes_only)
 
     @property
     def scene_names(self) -> tuple[str, ...]:
@@ -131,6 +136,41 @@ class Dataset:
             raise ConfigurationError(unknown("scene", name, names))
         return self._position_of_scene[name]
 
+    def channel(self, camera: str) -> int:
+        """Position of a camera in ``channels``.
+
+        Raises:
+            ConfigurationError: no such camera.
+        """
+        if camera not in self.channels:
+            raise ConfigurationError(unknown("camera", camera, self.channels))
+        return self.channels.index(camera)
+
+    def rows(self, name: str, camera: str) -> NDArray[np.int64]:
+        """Rows of ``index`` of one camera in one scene, in order of time.
+
+        Raises:
+            ConfigurationError: no such scene or camera.
+        """
+        images = self.index.images(self.position(name), self.channel(camera))
+        rows = np.arange(images.start, images.stop)
+        return rows[self.index.is_keyframe[images]] if self.keyframes_only else rows
+
+    def distance_m(self, name: str) -> float:
+        """Way of a scene in metres, by the poses of the camera that has most images; NaN where a pose is missing."""
+        rows = max((self.rows(name, camera) for camera in self.channels), key=len)
+        return float(np.hypot(np.diff(self.index.x_m[rows]), np.diff(self.index.y_m[rows])).sum())
+
+    def has_images(self, camera: str) -> bool:
+        """Whether the tables list images of a camera in any scene."""
+        offset, step = self.index.offset, len(self.channels)
+        position = self.channel(camera)
+        return bool(np.any(np.diff(offset)[position::step] > 0))
+
+    def has_folder(self, camera: str) -> bool:
+        """Whether images of a camera were unpacked: there is a folder of its name."""
+        return any((self.root / folder / camera).is_dir() for folder in ("samples", "sweeps"))
+
     def track(self, name: str, camera: str) -> CameraTrack:
         """All images of one camera in one scene; image files are not looked at.
 
@@ -138,12 +178,9 @@ class Dataset:
             ConfigurationError: no such scene or camera.
             DatasetError: the rows are broken.
         """
-        if camera not in self.channels:
-            raise ConfigurationError(unknown("camera", camera, self.channels))
-        index = self.index
-        rows = index.images(self.position(name), self.channels.index(camera))
+        index, rows = self.index, self.rows(name, camera)
         label = f"{name} {camera}"
-        if rows.start == rows.stop:
+        if not len(rows):
             raise DatasetError(f"{label}: the tables list no images; expected about 12 a second")
         calibration = _calibration(label, [index.calibrations[i] for i in np.unique(index.calibration[rows])])
         time = index.timestamp_us[rows]
@@ -151,6 +188,8 @@ class Dataset:
             raise DatasetError(
                 f"{label}: {repeated} images repeat the time of the one before; expected increasing times"
             )
+        if (span_s := 1e-6 * float(time[-1] - time[0])) > LONGEST_SCENE_S:
+            raise DatasetError(f"{label}: images span {span_s:.0f} s; a scene lasts 20 s, at most {LONGEST_SCENE_S:g}")
         norm_error = np.abs(index.quaternion_norm[rows] - 1.0)
         if not np.all(norm_error < UNIT_QUATERNION_TOLERANCE):  # also catches NaN
             missing = int(np.count_nonzero(np.isnan(norm_error)))
@@ -161,7 +200,7 @@ class Dataset:
         return CameraTrack(
             calibration=calibration,
             timestamp_us=time,
-            image_paths=tuple(self.root / index.filename(row) for row in range(rows.start, rows.stop)),
+            image_paths=tuple(self.root / index.filename(row) for row in rows.tolist()),
             is_keyframe=index.is_keyframe[rows],
             x_m=index.x_m[rows],
             y_m=index.y_m[rows],
@@ -173,12 +212,13 @@ class Dataset:
         return {record.name: position for position, record in enumerate(self.index.scenes)}
 
 
-def open_dataset(root: Path, version: str | None = None) -> Dataset:
+def open_dataset(root: Path, version: str | None = None, keyframes_only: bool = False) -> Dataset:
     """Open the nuScenes folder ``root``.
 
     Args:
         root: the folder that holds the version folder, ``samples`` and ``sweeps``.
         version: name of the version folder; needed only when there are several.
+        keyframes_only: leave the images between key frames out, for folders without ``sweeps``.
 
     Raises:
         DatasetError: not a nuScenes folder, a table is missing or broken.
@@ -186,7 +226,7 @@ def open_dataset(root: Path, version: str | None = None) -> Dataset:
     """
     root = Path(root).absolute()
     version = _find_version(root, version)
-    return Dataset(root=root, version=version, index=cached_index(root, version))
+    return Dataset(root=root, version=version, index=cached_index(root, version), keyframes_only=keyframes_only)
 
 
 def _find_version(root: Path, version: str | None) -> str:
@@ -194,8 +234,13 @@ def _find_version(root: Path, version: str | None) -> str:
         raise DatasetError(f"{root} is not a folder: give the folder that holds v1.0-trainval, samples and sweeps")
     if (root / "sample_data.json").is_file():
         raise DatasetError(f"{root} is the folder of the tables: give the folder above it, {root.parent}")
-    versions = sorted(path.name for path in root.iterdir() if (path / "sample_data.json").is_file())
+    try:
+        versions = sorted(path.name for path in root.iterdir() if (path / "sample_data.json").is_file())
+    except OSError as error:
+        raise DatasetError(f"{root} cannot be read: {error.strerror}") from None
     if version is not None:
+        if Path(version).name != version:
+            raise ConfigurationError(f"--version must be the name of a folder in {root}, got {version!r}")
         # A folder that is there but lacks tables gets the precise message of the reader.
         if version not in versions and not (root / version).is_dir():
             raise ConfigurationError(unknown("version", version, versions))
@@ -245,15 +290,15 @@ def _check_images(scene: str, track: CameraTrack) -> None:
 
 def _read_exact(path: Path) -> ExactPoses | None:
     """Noise-free truth beside a simulated scene; ``None`` for real data."""
-    if not path.is_file():
-        return None
     try:
-        with path.open("rb") as file, np.load(file, allow_pickle=False) as archive:
+        with open_file(path) as file, np.load(file, allow_pickle=False) as archive:
             return ExactPoses(
                 timestamp_us=archive["timestamp_us"].astype(np.int64, casting="safe"),
                 x_m=archive["x_m"].astype(np.float64),
                 y_m=archive["y_m"].astype(np.float64),
                 yaw_rad=archive["yaw_rad"].astype(np.float64),
             )
+    except FileNotFoundError:
+        return None
     except (OSError, ValueError, TypeError, KeyError, EOFError, zipfile.BadZipFile) as error:
         raise DatasetError(f"{path} is not a file of exact poses ({error}): simulate the scene again") from error

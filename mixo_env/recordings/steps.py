@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from mixo_env.errors import DatasetError
 from mixo_env.experts.expert import CameraExpert, CameraStep, State
 from mixo_env.experts.inertial import InertialTrack
+from mixo_env.nuscenes.images import read_jpeg
 from mixo_env.nuscenes.scene import CameraCalibration, CameraTrack, CanBus, Scene
 from mixo_env.recordings.carry import carry_camera
 from mixo_env.recordings.clock import firing_rounds
@@ -197,16 +198,16 @@ def read_grey(path: Path, halvings: int = 0) -> NDArray[np.uint8]:
             column is left out.
 
     Raises:
-        DatasetError: if it is missing, truncated or no JPEG.
+        DatasetError: if it is missing, truncated, no JPEG, or of a size that no camera has.
     """
     import simplejpeg
 
+    jpeg = read_jpeg(path)
     try:
-        jpeg = path.read_bytes()
         height, width = (int(side) >> halvings for side in simplejpeg.decode_jpeg_header(jpeg)[:2])
         grey = simplejpeg.decode_jpeg(
             jpeg, colorspace="GRAY", min_height=height, min_width=width, min_factor=2**halvings
         )
         return grey[:height, :width, 0]
-    except (OSError, ValueError) as error:
+    except ValueError as error:
         raise DatasetError(f"{path} cannot be read as JPEG ({error}): unpack or simulate it again") from None

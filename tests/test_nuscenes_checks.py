@@ -9,8 +9,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mixo_env.nuscenes.inspection import calibration_problems, inspect_scene, problems_of_folder, yaw_rate_correlation
-from mixo_env.nuscenes.scene import CameraCalibration, Signal
+from mixo_env.nuscenes.checks.judge import judge, problems_of_folder
+from mixo_env.nuscenes.checks.motion import lag_of, window_rates
+from mixo_env.nuscenes.checks.mounting import calibration_problems
+from mixo_env.nuscenes.scene import CameraCalibration
 from mixo_env.nuscenes.tables import open_dataset
 from tests.nuscenes_fixture import DRIVES, write_can_bus, write_nuscenes
 
@@ -30,7 +32,15 @@ def folder(sound, tmp_path) -> Path:
 
 def report(folder: Path, name: str = "scene-2061"):
     dataset = open_dataset(folder)
-    return inspect_scene(dataset, dataset.scenes[dataset.position(name)], dataset.channels)
+    return judge(dataset, name, dataset.channels)
+
+
+def problems(folder: Path, name: str = "scene-2061") -> list[str]:
+    return [str(finding) for finding in report(folder, name).problems]
+
+
+def notes(folder: Path, name: str = "scene-2061") -> list[str]:
+    return [str(finding) for finding in report(folder, name).notes]
 
 
 def change_can_bus(folder: Path, message: str, change) -> None:
@@ -42,20 +52,27 @@ def test_sound_scenes(sound):
     first = report(sound)
     assert first.problems == []
     assert first.notes == []
+    assert first.rates_hz == pytest.approx(
+        {"zoe_veh_info": 100, "ms_imu": 100, "pose": 50, "vehicle_monitor": 2, "steeranglefeedback": 100}, rel=1e-3
+    )
+    assert first.pose_lag_s == pytest.approx(0.0, abs=2e-3)
+    assert first.imu_latency_s == pytest.approx(0.0, abs=2e-3)
+    assert first.truth_noise_deg < 0.01
     assert first.gyro_correlation > 0.999
     assert first.wheel_ratio == pytest.approx(1.0, abs=2e-3)
     assert first.distance_m == pytest.approx(8.0 * first.duration_s, rel=1e-3)
     assert first.turn_deg == pytest.approx(np.degrees(1.5), abs=1.0)
     standing = report(sound, "scene-2103")
     assert standing.problems == []
+    assert [finding.check for finding in standing.notes] == ["standing"]
     assert standing.gyro_correlation is None
     assert standing.wheel_ratio is None
     assert problems_of_folder(open_dataset(sound)) == []
 
 
 def test_missing_messages(sound):
-    assert report(sound, "scene-2655").notes == ["no vehicle_monitor messages"]
-    assert report(sound, "scene-2757").problems == ["no CAN bus data: it cannot be recorded"]
+    assert notes(sound, "scene-2655") == ["can-bus: no vehicle_monitor messages"]
+    assert problems(sound, "scene-2757") == ["can-bus: no CAN bus data: it cannot be recorded"]
 
 
 def test_images(folder):
@@ -63,10 +80,10 @@ def test_images(folder):
     track.image_paths[2].unlink()
     track.image_paths[3].unlink()
     track.image_paths[5].write_bytes(b"")
-    found = report(folder).problems
+    found = problems(folder)
     assert len(found) == 2
-    assert found[0].startswith("CAM_BACK: 2 of 48 images are missing, first ")
-    assert found[1].startswith("CAM_BACK: 1 of 48 images are empty, first ")
+    assert found[0].startswith("images: CAM_BACK: 2 of 48 images are missing, first ")
+    assert found[1].startswith("images: CAM_BACK: 1 of 48 images are empty, first ")
 
 
 def test_times_and_key_frames(folder):
@@ -78,17 +95,20 @@ def test_times_and_key_frames(folder):
         if "CAM_BACK__" in row["filename"] and row["is_key_frame"]:
             row["timestamp"] += 12_000
     table.write_text(json.dumps(cut))
-    found = report(folder)
-    assert any(text.startswith("CAM_FRONT: no image for ") for text in found.problems)
-    assert any("key frames; the scene table says 9" in text for text in found.problems)
-    assert any("CAM_BACK: " in text and "off the 50 ms grid" in text for text in found.notes)
+    found = problems(folder)
+    assert any(text.startswith("image-gap: CAM_FRONT: no image for ") for text in found)
+    assert any("key frames; the scene table says 9" in text for text in found)
+    assert any("CAM_BACK: " in text and "off the 50 ms grid" in text for text in notes(folder))
 
 
 def test_broken_poses(folder):
     table = folder / "v1.0-mini" / "ego_pose.json"
     rows = json.loads(table.read_text())
     table.write_text(json.dumps([row | {"rotation": [v * 1.5 for v in row["rotation"]]} for row in rows]))
-    assert all("quaternion is not unit" in text for text in report(folder).problems)
+    found = problems(folder)
+    assert len([text for text in found if text.startswith("tables: ") and "quaternion is not unit" in text]) == len(
+        found
+    )
 
 
 class TestCalibration:
@@ -135,11 +155,11 @@ class TestCanBus:
     )
     def test_problems(self, folder, message, change, expected):
         change_can_bus(folder, message, change)
-        assert any(message in text and expected in text for text in report(folder).problems), report(folder).problems
+        assert any(message in text and expected in text for text in problems(folder)), problems(folder)
 
     def test_broken_file(self, folder):
         (folder / "can_bus" / "scene-2061_pose.json").write_text("[{")
-        assert "is not a valid CAN bus file" in report(folder).problems[0]
+        assert "is not a valid CAN bus file" in problems(folder)[0]
 
     def test_without_the_folder(self, folder):
         shutil.rmtree(folder / "can_bus")
@@ -147,27 +167,53 @@ class TestCanBus:
         assert report(folder).problems == []  # said once for the folder, not once a scene
 
 
-def test_known_remarks(tmp_path):
+def test_known_remarks_are_for_the_published_versions(tmp_path):
     drives = (
         replace(DRIVES[0], name="scene-0501", description="Day"),
         replace(DRIVES[0], name="scene-1002", description="Sunny street", start_us=DRIVES[0].start_us + 10**8),
         replace(DRIVES[3], name="scene-0161", description="Day"),
     )
-    write_nuscenes(tmp_path, drives, duration_s=1.0)
-    assert report(tmp_path, "scene-0501").notes == ["outside the annotated map"]
-    assert report(tmp_path, "scene-1002").notes == ["described as day, against what its number suggests"]
-    found = report(tmp_path, "scene-0161")
-    assert (found.problems, found.notes) == ([], ["no CAN bus data: it cannot be recorded"])
+    write_nuscenes(tmp_path, drives, duration_s=2.0)
+    assert notes(tmp_path, "scene-0501") == ["known: outside the annotated map"]
+    assert notes(tmp_path, "scene-1002") == ["known: described as day, against what its number suggests"]
+    assert problems(tmp_path, "scene-0161") == []
+    assert notes(tmp_path, "scene-0161") == ["can-bus: no CAN bus data: it cannot be recorded"]
+    (tmp_path / "v1.0-mini").rename(tmp_path / "v1.0-mine")
+    assert notes(tmp_path, "scene-0501") == []
+    assert problems(tmp_path, "scene-0161") == ["can-bus: no CAN bus data: it cannot be recorded"]
 
 
-def test_correlation_needs_turning_and_overlap():
-    times = np.arange(0, 10_000_000, 100_000)
-    yaw = 0.5 * np.sin(1e-6 * times)
-    gyro = Signal(times, 0.5 * np.cos(1e-6 * times))
-    assert yaw_rate_correlation(gyro, times, yaw) == pytest.approx(1.0, abs=1e-3)
-    assert yaw_rate_correlation(gyro, times, 0.01 * yaw) is None
-    assert yaw_rate_correlation(gyro, times + 9_500_000, yaw) is None
-    assert yaw_rate_correlation(Signal(times, np.zeros(len(times))), times, yaw) == 0.0
+TIMES = np.arange(0, 10_000_000, 100_000)
+YAW = 0.5 * np.sin(1e-6 * TIMES)
+RATE = 0.5 * np.cos(1e-6 * TIMES)
+
+
+def test_rates_need_overlap_and_tell_scale_sign_and_standstill():
+    rates = window_rates(TIMES, YAW, TIMES, RATE)
+    assert rates.correlation == pytest.approx(1.0, abs=1e-3)
+    assert rates.slope == pytest.approx(1.0, abs=1e-2)
+    assert window_rates(TIMES, YAW, TIMES, -2 * RATE).slope == pytest.approx(-2.0, abs=1e-2)
+    assert window_rates(TIMES, YAW, TIMES + 9_500_000, RATE) is None
+    assert window_rates(TIMES, YAW, TIMES, np.zeros(len(TIMES))).correlation == 0.0
+    assert rates.is_moving(0.1)
+    assert not window_rates(TIMES, 0.01 * YAW, TIMES, 0.01 * RATE).is_moving(0.1)
+    assert window_rates(TIMES, 0.01 * YAW, TIMES, RATE).is_moving(0.1)  # either of the two
+
+
+@pytest.mark.parametrize("late_s", [-0.25, -0.03, 0.0, 0.1, 0.31])
+def test_lag_is_found_under_scale_offset_and_drift(late_s):
+    fine = np.arange(0, 10_000_000, 10_000)
+    seconds = 1e-6 * fine
+    rate = 0.3 * np.cos(2.0 * seconds)
+    yaw = 7.0 + 0.004 * seconds + 1.02 * 0.15 * np.sin(2.0 * (seconds - late_s))
+    lag = lag_of(fine, yaw, fine, rate, (-0.065, 0.085), 0.01)
+    assert lag is not None
+    assert lag.seconds == pytest.approx(late_s, abs=2e-3)
+    assert (lag.residual_allowed > 1.5 * lag.residual) == (not -0.065 < late_s < 0.085)
+
+
+def test_even_motion_tells_no_lag():
+    assert lag_of(TIMES, 0.2 * 1e-6 * TIMES, TIMES, np.full(len(TIMES), 0.2), (-0.065, 0.085), 0.01) is None
 
 
 @pytest.mark.skipif("MIXO_REAL_DATA" not in os.environ, reason="needs real data")
@@ -182,7 +228,9 @@ def test_real_gyro_signs():
         poses = json.loads((folder / f"{name}_pose.json").read_text())
         times = np.array([row["utime"] for row in poses])
         yaw = np.unwrap(yaw_from_quaternion_wxyz([row["orientation"] for row in poses]))
-        turning[name] = yaw_rate_correlation(can_bus.imu_yaw_rate_radps, times, yaw)
+        gyro = can_bus.imu_yaw_rate_radps
+        rates = window_rates(times, yaw, gyro.timestamp_us, gyro.value)
+        turning[name] = rates.correlation if rates.is_moving(0.05) else None
     assert turning["scene-0061"] > 0.99
     assert turning["scene-0796"] is None
     assert all(value is None or value > 0.95 for value in turning.values()), turning

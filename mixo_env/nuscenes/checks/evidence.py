@@ -1,0 +1,92 @@
+"""What the checks of a scene look at, read once."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from mixo_env.nuscenes.limits import LONGEST_SCENE_S
+from mixo_env.nuscenes.scene import CameraTrack, CanBus, FloatArray, IntArray
+from mixo_env.nuscenes.tables import SceneInfo
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One remark on a scene.
+
+    Attributes:
+        check: short name of the check, as ``mixo record --despite`` takes it.
+        text: one line.
+        is_problem: the scene should not be recorded as it is; else worth knowing, and harmless.
+    """
+
+    check: str
+    text: str
+    is_problem: bool = True
+
+    def __str__(self) -> str:
+        """The line with the name in front."""
+        return f"{self.check}: {self.text}"
+
+
+@dataclass(frozen=True)
+class TruePath:
+    """Ego poses of all cameras' images in time order, as if one sensor had delivered them.
+
+    Attributes:
+        time_us: ``(n,)`` increasing.
+        x_m, y_m: ``(n,)`` map frame.
+        yaw_rad: ``(n,)`` unwrapped.
+        distance_m: ``(n,)`` driven since the first, never decreasing.
+    """
+
+    time_us: IntArray
+    x_m: FloatArray
+    y_m: FloatArray
+    yaw_rad: FloatArray
+    distance_m: FloatArray
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """One scene as it was read.
+
+    Attributes:
+        info: the scene's row.
+        tracks: by camera; those that could be read.
+        tilt_rad: by camera, ``(n,)`` as in :class:`mixo_env.nuscenes.index.ImageIndex`.
+        pose_delay_s: by camera, ``(n,)`` likewise.
+        path: ``None`` without a single track.
+        can_bus: ``None`` without a single message.
+        message_times_us: by message, ``(n,)`` in the order of the file.
+        is_can_bus_readable: else a message file is broken, which has been said.
+        expects_can_bus: whether CAN bus data should be there: not where the folder has none at all, or its publishers
+            had none of this scene.
+    """
+
+    info: SceneInfo
+    tracks: Mapping[str, CameraTrack]
+    tilt_rad: Mapping[str, FloatArray]
+    pose_delay_s: Mapping[str, FloatArray]
+    path: TruePath | None
+    can_bus: CanBus | None
+    message_times_us: Mapping[str, IntArray]
+    is_can_bus_readable: bool
+    expects_can_bus: bool
+
+
+def true_path(tracks: Mapping[str, CameraTrack]) -> TruePath | None:
+    """The poses of all tracks as one path; ``None`` without tracks, or if they lie hours apart."""
+    if not tracks:
+        return None
+    ends = [time for track in tracks.values() for time in (track.timestamp_us[0], track.timestamp_us[-1])]
+    if max(ends) - min(ends) > 1e6 * LONGEST_SCENE_S:
+        return None
+    time_us, first = np.unique(np.concatenate([track.timestamp_us for track in tracks.values()]), return_index=True)
+    x, y, yaw = (
+        np.concatenate([getattr(track, name) for track in tracks.values()])[first] for name in ("x_m", "y_m", "yaw_rad")
+    )
+    steps = np.hypot(np.diff(x), np.diff(y))
+    return TruePath(time_us, x, y, np.unwrap(yaw), np.concatenate([[0.0], np.cumsum(steps)]))

@@ -1,0 +1,145 @@
+"""Two sensors that saw one motion: how well they agree, in which ratio, and how late one is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mixo_env.nuscenes.scene import FloatArray, IntArray
+
+GRID_S = 0.02
+LONGEST_LAG_S = 0.4
+SHORTEST_COMPARED_S = 1.4
+
+
+@dataclass(frozen=True)
+class Rates:
+    """Mean rates of two sensors over the same windows, ``(n,)`` each."""
+
+    true: FloatArray
+    sensed: FloatArray
+
+    def is_moving(self, threshold: float) -> bool:
+        """Whether either sensor exceeds ``threshold`` in two windows one after the other."""
+        return any(_twice_in_a_row(np.abs(rate) > threshold) for rate in (self.true, self.sensed))
+
+    @property
+    def correlation(self) -> float:
+        """Pearson's; 0 where one of them is constant."""
+        if min(np.std(self.true), np.std(self.sensed)) < 1e-9:
+            return 0.0
+        return float(np.corrcoef(self.true, self.sensed)[0, 1])
+
+    @property
+    def slope(self) -> float:
+        """Sensed change for one of the truth (least squares with an offset); NaN where the truth is constant."""
+        centred = self.true - self.true.mean()
+        power = float(centred @ centred)
+        return float(centred @ self.sensed) / power if power > 1e-12 else float("nan")
+
+
+def integral(time_us: IntArray, rate: FloatArray, at_us: IntArray) -> FloatArray:
+    """Trapezoid integral of a signal from its first message, at other times; flat outside."""
+    seconds = 1e-6 * (time_us - time_us[0])
+    steps = 0.5 * (rate[1:] + rate[:-1]) * np.diff(seconds)
+    return np.interp(1e-6 * (at_us - time_us[0]), seconds, np.concatenate([[0.0], np.cumsum(steps)]))
+
+
+def window_rates(
+    time_us: IntArray, value: FloatArray, sensor_us: IntArray, sensor_rate: FloatArray, window_s: float = 0.5
+) -> Rates | None:
+    """Rates of a true value and of a sensor of its rate, over windows that both cover.
+
+    Args:
+        time_us: ``(n,)`` of the true value.
+        value: ``(n,)`` e.g. unwrapped yaw.
+        sensor_us: ``(m,)``.
+        sensor_rate: ``(m,)`` per second.
+        window_s: 0.5 s averages the vibration away that two sensors see differently.
+
+    Returns:
+        ``None`` where the two overlap by less than four windows.
+    """
+    begin, end = max(time_us[0], sensor_us[0]), min(time_us[-1], sensor_us[-1])
+    edges = np.arange(begin, end, int(1e6 * window_s))
+    if len(edges) < 5:
+        return None
+    true = np.interp(1e-6 * (edges - time_us[0]), 1e-6 * (time_us - time_us[0]), value)
+    sensed = integral(sensor_us, sensor_rate, edges)
+    return Rates(np.diff(true) / window_s, np.diff(sensed) / window_s)
+
+
+@dataclass(frozen=True)
+class Lag:
+    """How late a true value follows a sensor.
+
+    Attributes:
+        seconds: of the best fit; positive when the truth is late.
+        residual: RMS of the fit there, in the unit of the value.
+        seconds_allowed: of the best fit among the lags allowed.
+        residual_allowed: RMS there.
+    """
+
+    seconds: float
+    residual: float
+    seconds_allowed: float
+    residual_allowed: float
+
+
+def lag_of(
+    time_us: IntArray,
+    value: FloatArray,
+    sensor_us: IntArray,
+    sensor_rate: FloatArray,
+    allowed_s: tuple[float, float],
+    detectable: float,
+) -> Lag | None:
+    """Shift the integral of a sensor against the true value until they fit best, but for scale, offset and drift.
+
+    Args:
+        time_us: ``(n,)`` of the true value.
+        value: ``(n,)``.
+        sensor_us: ``(m,)``.
+        sensor_rate: ``(m,)`` per second.
+        allowed_s: lags that count as sound.
+        detectable: unit of ``value``; the residual must rise by this within 0.4 s.
+
+    Returns:
+        ``None`` where the motion is too even to tell, or the overlap is short.
+    """
+    margin_us = int(1e6 * LONGEST_LAG_S)
+    begin = max(time_us[0], sensor_us[0]) + margin_us
+    end = min(time_us[-1], sensor_us[-1]) - margin_us
+    if 1e-6 * (end - begin) < SHORTEST_COMPARED_S:
+        return None
+    at_us = np.arange(begin, end, int(1e6 * GRID_S))
+    true = np.interp(1e-6 * (at_us - time_us[0]), 1e-6 * (time_us - time_us[0]), value)
+    drift = np.linspace(-1.0, 1.0, len(at_us))
+    basis, _ = np.linalg.qr(np.column_stack([np.ones(len(at_us)), drift]))
+    lags = np.arange(-LONGEST_LAG_S, LONGEST_LAG_S + 0.5 * GRID_S, GRID_S)
+    shifted = np.stack([integral(sensor_us, sensor_rate, at_us - round(1e6 * lag)) for lag in lags])
+    true = true - basis @ (basis.T @ true)
+    shifted -= (shifted @ basis) @ basis.T
+    power = np.einsum("ij,ij->i", shifted, shifted)
+    scale = np.divide(shifted @ true, power, out=np.zeros(len(lags)), where=power > 1e-12)
+    residual = np.sqrt(np.mean((true - scale[:, None] * shifted) ** 2, axis=1))
+    if residual.max() - residual.min() < detectable or residual.max() < 3.0 * residual.min():
+        return None
+    best = int(residual.argmin())
+    allowed = np.flatnonzero((lags > allowed_s[0]) & (lags < allowed_s[1]))
+    nearest = int(allowed[residual[allowed].argmin()])
+    return Lag(_refined(lags, residual, best), float(residual[best]), float(lags[nearest]), float(residual[nearest]))
+
+
+def _refined(lags: FloatArray, residual: FloatArray, best: int) -> float:
+    """Vertex of the parabola through the squares of the best residual and its neighbours."""
+    if not 0 < best < len(lags) - 1:
+        return float(lags[best])
+    before, at, after = residual[best - 1 : best + 2] ** 2
+    bend = before - 2.0 * at + after
+    return float(lags[best] + (0.5 * GRID_S * (before - after) / bend if bend > 0 else 0.0))
+
+
+def _twice_in_a_row(flags: np.ndarray) -> bool:
+    return bool(np.any(flags[1:] & flags[:-1]))

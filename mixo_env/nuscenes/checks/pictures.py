@@ -1,0 +1,105 @@
+"""Checks of images: the files, their sizes, their names, their times."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+
+from mixo_env.nuscenes.checks.evidence import Evidence, Finding
+from mixo_env.nuscenes.images import image_fault
+from mixo_env.nuscenes.scene import CameraTrack
+from mixo_env.nuscenes.selections import LIDAR_PERIOD_US
+
+GRID_TOLERANCE_US = 5_000
+"""Image intervals lie on the lidar's 50 ms grid within this."""
+
+LONGEST_IMAGE_GAP_S = 1.0
+
+# The exposure time in the file name, as the published data set writes it.
+_STAMP = re.compile(r"__(\d{16})\.jpg$")
+
+
+def image_files(evidence: Evidence) -> Iterator[Finding]:
+    """Every image is there, is a whole JPEG, and has the size of the tables."""
+    for camera, track in evidence.tracks.items():
+        width, height = track.calibration.width, track.calibration.height
+        faults = [(image_fault(path, width, height), path) for path in track.image_paths]
+        counts = Counter(fault for fault, _ in faults if fault is not None)
+        for fault, count in counts.items():
+            paths = [path for found, path in faults if found == fault]
+            hint = ": only key frames are unpacked? see --key-frames" if _no_sweeps(fault, paths, track) else ""
+            yield Finding("images", f"{camera}: {count} of {len(faults)} images are {fault}, first {paths[0]}{hint}")
+
+
+def _no_sweeps(fault: str, paths: list[Path], track: CameraTrack) -> bool:
+    """Whether just the images between key frames are missing."""
+    return fault == "missing" and len(paths) == int(np.count_nonzero(~track.is_keyframe)) and "sweeps" in paths[0].parts
+
+
+def image_gaps(evidence: Evidence) -> Iterator[Finding]:
+    """No camera pauses for long or misses an end of the scene; intervals lie on the lidar's grid."""
+    first = min((track.timestamp_us[0] for track in evidence.tracks.values()), default=0)
+    last = max((track.timestamp_us[-1] for track in evidence.tracks.values()), default=0)
+    for camera, track in evidence.tracks.items():
+        late, early = 1e-6 * (track.timestamp_us[0] - first), 1e-6 * (last - track.timestamp_us[-1])
+        if max(late, early) > LONGEST_IMAGE_GAP_S:
+            yield Finding(
+                "image-gap",
+                f"{camera}: begins {late:.1f} s after the first camera and ends {early:.1f} s before the last",
+            )
+        interval_us = np.diff(track.timestamp_us)
+        if not len(interval_us):
+            continue
+        if interval_us.max() > 1e6 * LONGEST_IMAGE_GAP_S:
+            yield Finding(
+                "image-gap",
+                f"{camera}: no image for {1e-6 * interval_us.max():.1f} s; "
+                f"at most {LONGEST_IMAGE_GAP_S:g} s is expected",
+            )
+        off = np.abs(interval_us - LIDAR_PERIOD_US * np.round(interval_us / LIDAR_PERIOD_US)) > GRID_TOLERANCE_US
+        if off.any():
+            yield Finding(
+                "image-gap",
+                f"{camera}: {np.count_nonzero(off)} of {len(interval_us)} intervals are off the 50 ms grid",
+                is_problem=False,
+            )
+
+
+def keyframes(evidence: Evidence) -> Iterator[Finding]:
+    """Every camera has one key frame a sample."""
+    for camera, track in evidence.tracks.items():
+        if (count := int(track.is_keyframe.sum())) != evidence.info.keyframes:
+            yield Finding("key-frames", f"{camera}: {count} key frames; the scene table says {evidence.info.keyframes}")
+
+
+def image_names(evidence: Evidence) -> Iterator[Finding]:
+    """The time in a file's name, where there is one, is that of its row; no file stands for two images."""
+    for camera, track in evidence.tracks.items():
+        wrong = [
+            path.name
+            for path, time in zip(track.image_paths, track.timestamp_us.tolist(), strict=True)
+            if (match := _STAMP.search(path.name)) and int(match[1]) != time
+        ]
+        if wrong:
+            yield Finding(
+                "image-time",
+                f"{camera}: {len(wrong)} images have another time in their name than in the tables, first {wrong[0]}: "
+                "were times or names exchanged?",
+            )
+        if repeated := len(track.image_paths) - len(set(track.image_paths)):
+            yield Finding("image-time", f"{camera}: {repeated} files stand in the tables more than once")
+        if strangers := _of_another_camera(camera, track):
+            yield Finding("image-time", f"{camera}: {len(strangers)} files lie in another folder, first {strangers[0]}")
+
+
+def _of_another_camera(camera: str, track: CameraTrack) -> list[str]:
+    """Files in a folder named after another camera; folders that are not named so say nothing."""
+    return [
+        f"{path.parent.name}/{path.name}"
+        for path in track.image_paths
+        if path.parent.name.startswith("CAM_") and path.parent.name != camera
+    ]

@@ -1,0 +1,97 @@
+"""What can be told of an image file without decoding it: whether it is a whole JPEG, and of which size."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import BinaryIO
+
+from mixo_env.errors import DatasetError
+from mixo_env.nuscenes.files import open_file, read_file
+
+LARGEST_IMAGE_PIXELS = 50_000_000
+"""Thirty times a nuScenes image. A header can ask for 4 Gpx in a file of 19 kB."""
+
+_HEADER_BYTES = 1_024
+_TAIL_BYTES = 64
+_SIZE_MARKERS = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
+_START, _END = b"\xff\xd8", b"\xff\xd9"
+
+
+def image_fault(path: Path, width: int, height: int) -> str | None:
+    """What is wrong with an image file; a kilobyte of it is read, nothing is decoded.
+
+    Args:
+        path: of the file.
+        width: expected, pixels.
+        height: expected, pixels.
+
+    Returns:
+        A few words to follow "is" or "are", such as ``"missing"``; ``None`` for a sound file.
+    """
+    try:
+        with open_file(path) as file:
+            size = jpeg_size(file)
+            file.seek(0, 2)
+            length = file.tell()
+            file.seek(max(0, length - _TAIL_BYTES))
+            tail = file.read(_TAIL_BYTES)
+    except FileNotFoundError:
+        return "missing"
+    except (DatasetError, OSError):
+        return "unreadable or no files"
+    if length == 0:
+        return "empty"
+    if size is None:
+        return "no JPEG"
+    if size != (width, height):
+        return f"{size[0]} x {size[1]} (the tables say {width} x {height})"
+    # Some writers pad; inside the picture these two bytes cannot follow each other.
+    return None if _END in tail else "cut short"
+
+
+def jpeg_size(file: BinaryIO) -> tuple[int, int] | None:
+    """Width and height in the header of a JPEG; ``None`` if it is none. Reads on only past long comments."""
+    head = file.read(_HEADER_BYTES)
+    if not head.startswith(_START):
+        return None
+    start, at = 0, 2  # of `head` in the file, and in `head`
+    while True:
+        if at + 9 > len(head):
+            start += at
+            file.seek(start)
+            head, at = file.read(_HEADER_BYTES), 0
+            if len(head) < 9:
+                return None
+        marker, length = head[at + 1], int.from_bytes(head[at + 2 : at + 4], "big")
+        if head[at] != 0xFF:
+            return None
+        if marker in _SIZE_MARKERS:
+            return int.from_bytes(head[at + 7 : at + 9], "big"), int.from_bytes(head[at + 5 : at + 7], "big")
+        if marker == 0xFF:  # fill byte
+            at += 1
+        elif marker in (0xD9, 0xDA) or length < 2:  # end or picture data before any size
+            return None
+        else:
+            at += 2 + length
+
+
+def read_jpeg(path: Path) -> bytes:
+    """The bytes of a JPEG that is safe to decode.
+
+    Raises:
+        DatasetError: it is missing, no file, no JPEG, or larger than ``LARGEST_IMAGE_PIXELS`` by its own header.
+    """
+    import io
+
+    try:
+        content = read_file(path)
+    except FileNotFoundError:
+        raise DatasetError(f"{path} cannot be read, it is missing: unpack or simulate it again") from None
+    size = jpeg_size(io.BytesIO(content))
+    if size is None:
+        raise DatasetError(f"{path} cannot be read as JPEG (it has no JPEG header): unpack or simulate it again")
+    if size[0] * size[1] > LARGEST_IMAGE_PIXELS:
+        raise DatasetError(
+            f"{path} is {size[0]} x {size[1]} pixels by its header; at most {LARGEST_IMAGE_PIXELS:,} are decoded"
+        )
+    return content
