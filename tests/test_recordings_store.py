@@ -28,6 +28,7 @@ from mixo_env.recordings.store import (
     values_hash,
     write_columns,
 )
+from tests.damage import edit_manifest
 from tests.synthetic import synthetic_recordings
 
 
@@ -162,9 +163,20 @@ def test_other_columns_or_rows(folder, change, match):
     ],
 )
 def test_other_manifest(folder, edit, match):
-    path = folder / "manifest.json"
-    path.write_text(json.dumps(edit(json.loads(path.read_text()))))
+    edit_manifest(folder, edit)
     broken(folder, match)
+
+
+def test_a_manifest_edited_by_hand(folder):
+    path = folder / "manifest.json"
+    path.write_text(path.read_text().replace('"wheel_scale": 1.0', '"wheel_scale": 1.1'))
+    broken(folder, "it was edited")
+
+
+def test_the_layout_of_a_manifest_does_not_matter(folder):
+    before, path = load_recordings(folder).manifest, folder / "manifest.json"
+    path.write_text(json.dumps(json.loads(path.read_text()), sort_keys=True))
+    assert load_recordings(folder).manifest == before
 
 
 def test_manifest_that_is_no_json(folder):
