@@ -21,7 +21,6 @@ from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.fitting import with_fits
 from mixo_env.recordings.schema import columns
 from mixo_env.recordings.store import (
-    atomic_path,
     load_recordings,
     read_columns,
     save_recordings,
@@ -201,21 +200,6 @@ def test_other_columns_are_not_saved(tmp_path):
     with pytest.raises(RecordingError, match="cannot save: missing columns: step"):
         save_recordings(Recordings(recordings.manifest, table), tmp_path)
     assert list(tmp_path.iterdir()) == []
-
-
-def test_a_failed_write_leaves_the_old_file(tmp_path):
-    path = tmp_path / "a.txt"
-    path.write_text("old")
-
-    def fail():
-        with atomic_path(path) as temporary:
-            temporary.write_text("half")
-            raise KeyboardInterrupt
-
-    with pytest.raises(KeyboardInterrupt):
-        fail()
-    assert path.read_text() == "old"
-    assert list(tmp_path.iterdir()) == [path]
 
 
 @pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="counts threads the Linux way")

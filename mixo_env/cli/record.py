@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar, Literal
@@ -16,7 +17,7 @@ class Record:
     """Run the experts over a nuScenes folder, real or simulated, and keep what they say.
 
     Images are read here and never again: environments, policies and scores work on the recording. An interrupted run
-    continues where it stopped; scenes that cannot be recorded are skipped with a reason.
+    continues where it stopped. Scenes that cannot be recorded are skipped with a reason, and the exit code is 1 then.
 
     Worked examples:
 
@@ -62,6 +63,7 @@ class Record:
         from mixo_env.errors import ConfigurationError, unknown
         from mixo_env.experts.monocular.config import MonocularConfig
         from mixo_env.nuscenes.tables import open_dataset
+        from mixo_env.recordings.folder import claimed
         from mixo_env.recordings.record import RecordConfig, record
         from mixo_env.recordings.vocabularies import retrain
 
@@ -70,13 +72,8 @@ class Record:
                 raise ConfigurationError(unknown("camera to retrain for", camera, self.cameras))
         monocular = MonocularConfig.preset(self.preset)
         dataset = open_dataset(self.root, self.version)
-        config = RecordConfig(
-            cameras=self.cameras,
-            scenes=self.scenes,
-            monocular=monocular,
-            folds=self.folds,
-            data_version=self.data_version,
-            variants=retrain(
+        with claimed(self.out) if self.retrained else nullcontext():
+            variants = retrain(
                 dataset,
                 self.retrained,
                 monocular,
@@ -84,7 +81,14 @@ class Record:
                 scenes=self.scenes,
                 folds=self.folds,
                 workers=self.workers,
-            ),
+            )
+        config = RecordConfig(
+            cameras=self.cameras,
+            scenes=self.scenes,
+            monocular=monocular,
+            folds=self.folds,
+            data_version=self.data_version,
+            variants=variants,
         )
         console = Console(stderr=True)
         with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
@@ -102,6 +106,6 @@ class Record:
         print(
             f"{self.out}: {len(recordings)} scenes, {len(recordings['step']):,} rows, "
             f"{len({scene.log for scene in recordings.scenes})} logs ({manifest.data_version})"
-            + (f"; {skipped} skipped, see above" if skipped else "")
+            + (f"; {skipped} skipped for the reasons above: the same command tries them again" if skipped else "")
         )
-        return 0
+        return 1 if skipped else 0

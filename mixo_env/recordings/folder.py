@@ -10,7 +10,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from mixo_env.errors import ConfigurationError, RecordingError
+from mixo_env.errors import ConfigurationError, OutputError, printable
+from mixo_env.files import writable_folder
 
 LOCK_FILE = ".lock"
 
@@ -30,22 +31,19 @@ def claimed(folder: str | Path, need_bytes: int = 0) -> Iterator[Path]:
         need_bytes: that the run will write, on top of ``SPARE_BYTES``.
 
     Raises:
-        ConfigurationError: if another process writes there, nothing can be written there, or the disk is full.
+        ConfigurationError: if another process writes there.
+        OutputError: if nothing can be written there, or too little.
     """
     folder = Path(folder)
     path = folder / LOCK_FILE
-    try:
+    with writing(folder):
         folder.mkdir(parents=True, exist_ok=True)
         handle = _locked(path)
-    except OSError as error:
-        place = error.filename or folder
-        raise ConfigurationError(
-            f"cannot write into {folder} ({place}: {_reason(error)}): choose another --out"
-        ) from None
     try:
+        writable_folder(folder)
         free = shutil.disk_usage(folder).free
         if free < need_bytes + SPARE_BYTES:
-            raise ConfigurationError(
+            raise OutputError(
                 f"expected {(need_bytes + SPARE_BYTES) / 1e6:.0f} MB free for {folder}, found {free / 1e6:.0f} MB: "
                 "make room or choose another --out"
             )
@@ -61,15 +59,13 @@ def writing(folder: Path) -> Iterator[None]:
     """A full disk or a folder that vanished becomes one line.
 
     Raises:
-        RecordingError: in place of an ``OSError``.
+        OutputError: in place of an ``OSError``.
     """
     try:
         yield
     except OSError as error:
-        raise RecordingError(
-            f"cannot write into {folder} ({_reason(error)}): what was recorded before is kept; "
-            "make room and run the same command again"
-        ) from None
+        reason = f"{error.filename or folder}: {error.strerror or error}"
+        raise OutputError(f"cannot write into {folder} ({reason}): make room or choose another folder") from None
 
 
 def _locked(path: Path) -> int:
@@ -85,7 +81,7 @@ def _locked(path: Path) -> int:
                 os.pwrite(handle, f"process {os.getpid()} on {socket.gethostname()}".encode(), 0)
                 return handle
         except OSError as error:
-            owner = "".join(filter(str.isprintable, os.pread(handle, 200, 0).decode(errors="replace")))
+            owner = printable(os.pread(handle, 200, 0).decode(errors="replace"))
             os.close(handle)
             if error.errno not in (errno.EAGAIN, errno.EACCES):
                 raise
@@ -101,7 +97,3 @@ def _is_at(path: Path, handle: int) -> bool:
         return os.path.samestat(path.stat(), os.fstat(handle))
     except FileNotFoundError:
         return False
-
-
-def _reason(error: OSError) -> str:
-    return error.strerror or " ".join(str(error).split())

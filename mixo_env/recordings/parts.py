@@ -77,9 +77,8 @@ class PartFolder:
             "values": values_hash(part.columns),
             "broken_images": msgspec.json.encode(part.broken_images).decode(),
         }
-        with writing(self.path.parent):
-            write_columns(self.path / f"{name}.timings.parquet", part.timings, [len(part.timings["timestamp_us"])])
-            write_columns(self.path / f"{name}.parquet", part.columns, [part.entry.rows], metadata)
+        write_columns(self.path / f"{name}.timings.parquet", part.timings, [len(part.timings["timestamp_us"])])
+        write_columns(self.path / f"{name}.parquet", part.columns, [part.entry.rows], metadata)
 
     def read(self) -> dict[str, Part]:
         """Sound parts by scene; a damaged one is as good as none."""

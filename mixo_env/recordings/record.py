@@ -30,7 +30,7 @@ from mixo_env.nuscenes.scene import Scene
 from mixo_env.nuscenes.selections import CAMERAS
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.fitting import with_fits
-from mixo_env.recordings.folder import claimed, writing
+from mixo_env.recordings.folder import claimed
 from mixo_env.recordings.folds import FOLD_RULES, OUT_OF_DISTRIBUTION, with_folds
 from mixo_env.recordings.manifest import is_scene_name
 from mixo_env.recordings.parts import Part, PartFolder, finished_parts
@@ -179,8 +179,9 @@ def record(
 
     Raises:
         ConfigurationError: for an unknown scene or camera, if ``out`` holds a recording of another configuration, or if
-            nothing can be written there now.
-        RecordingError: if ``out`` holds a recording whose manifest is damaged, or the disk fills up.
+            another process writes there.
+        OutputError: if nothing can be written, at the beginning or later: what was recorded by then is kept.
+        RecordingError: if ``out`` holds a recording whose manifest is damaged.
         DatasetError: if not a single scene could be recorded.
     """
     names = _scene_names(dataset, config)
@@ -223,8 +224,7 @@ def record(
         }
         recordings = _assemble(ordered, config, dataset.version, provenance)
         timings = _joined([part.timings for part in ordered])
-        with writing(home):
-            write_columns(home / TIMINGS_FILE, timings, [len(timings["timestamp_us"])])
+        write_columns(home / TIMINGS_FILE, timings, [len(timings["timestamp_us"])])
         write_recordings(recordings, home)
         folder.remove()
         return load_recordings(home)

@@ -27,7 +27,7 @@ def sound_scenes(folder: Path, manifest: Manifest) -> dict[str, dict[str, Column
 
 
 def set_aside(folder: Path) -> Path:
-    """Copy the files of a damaged recording into a folder beside them, once: what is lost to us may not be to others."""
+    """Copy the files of a damaged recording into a folder beside them, once: others may be able to read more."""
     files = [path for name in (RECORDINGS_FILE, NEXT_FILE, MANIFEST_FILE) if (path := folder / name).is_file()]
     digest = hashlib.blake2b(digest_size=4)
     for path in files:
@@ -53,7 +53,7 @@ def _row_groups(path: Path, rows: set[int]) -> list[dict[str, Column]]:
                         continue
                     table = file.read_row_group(i, use_threads=False)
                     groups.append({name: np.array(table.column(name).to_numpy()) for name in table.column_names})
-                except Exception:  # noqa: S112  the reader raises almost anything, depending on which byte is wrong
+                except Exception:  # the reader raises almost anything, depending on which byte is wrong
                     continue
     except Exception:  # no footer, no rows
         return groups

@@ -11,10 +11,7 @@ rows that fit the manifest under the other name.
 from __future__ import annotations
 
 import hashlib
-import os
-import tempfile
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from importlib.resources import files
 from importlib.resources.abc import Traversable
@@ -23,6 +20,7 @@ from pathlib import Path
 import numpy as np
 
 from mixo_env.errors import RecordingError, unknown
+from mixo_env.files import atomic_path, write_bytes
 from mixo_env.recordings.collection import Column, Recordings
 from mixo_env.recordings.folder import claimed, writing
 from mixo_env.recordings.manifest import LARGEST_MANIFEST, MANIFEST_FILE, decode_manifest, encode_manifest
@@ -36,21 +34,6 @@ DEFAULT_RECORDINGS = "mixocity"
 RECORDINGS_FILE = "recordings.parquet"
 NEXT_FILE = "recordings.next.parquet"
 TIMINGS_FILE = "timings.parquet"
-
-
-@contextmanager
-def atomic_path(path: Path) -> Iterator[Path]:
-    """A temporary path in the same folder that becomes ``path`` when the block ends well and vanishes otherwise."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    os.close(handle)
-    temporary = Path(name)
-    try:
-        yield temporary
-        temporary.chmod(0o644)
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def values_hash(columns: Mapping[str, Column]) -> str:
@@ -132,8 +115,14 @@ def settled(folder: Path) -> Recordings | None:
 
     Raises:
         RecordingError: if it holds one that cannot be read.
+        OutputError: if it cannot be tidied up.
     """
-    for stale in (*folder.glob(f".{MANIFEST_FILE}.*"), *folder.glob(".*.parquet.*")):
+    with writing(folder):
+        return _settled(folder)
+
+
+def _settled(folder: Path) -> Recordings | None:
+    for stale in folder.glob(".part-*"):
         stale.unlink(missing_ok=True)
     if not (folder / MANIFEST_FILE).exists():
         if (folder / RECORDINGS_FILE).exists():
@@ -165,10 +154,9 @@ def _encoded(recordings: Recordings) -> tuple[dict[str, Column], Manifest, bytes
 
 
 def _write(columns: Mapping[str, Column], manifest: Manifest, described: bytes, folder: Path) -> None:
+    write_columns(folder / NEXT_FILE, columns, [scene.rows for scene in manifest.scenes])
+    write_bytes(folder / MANIFEST_FILE, described)
     with writing(folder):
-        write_columns(folder / NEXT_FILE, columns, [scene.rows for scene in manifest.scenes])
-        with atomic_path(folder / MANIFEST_FILE) as temporary:
-            temporary.write_bytes(described)
         (folder / NEXT_FILE).replace(folder / RECORDINGS_FILE)
 
 
