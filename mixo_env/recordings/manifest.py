@@ -10,7 +10,7 @@ from typing import Any
 
 import msgspec
 
-from mixo_env.errors import RecordingError
+from mixo_env.errors import RecordingError, printable
 from mixo_env.recordings.folds import FOLDS, OUT_OF_DISTRIBUTION
 from mixo_env.recordings.schema import (
     INERTIAL_EXPERTS,
@@ -58,13 +58,13 @@ def decode_manifest(data: bytes) -> Manifest:
         table = msgspec.json.decode(data)
         version = table.get("schema_version") if isinstance(table, dict) else None
         if version != SCHEMA_VERSION:
-            raise RecordingError(f"expected schema version {SCHEMA_VERSION}, got {str(version)[:40]!s}")
+            raise RecordingError(f"expected schema version {SCHEMA_VERSION}, got {printable(str(version)[:40])}")
         if table.pop(HASH, None) != manifest_hash(table):
             raise _damaged("it was edited, or a byte of it changed: its hash differs")
         _check_fields(table)
         manifest = msgspec.convert(table, Manifest)
     except (msgspec.MsgspecError, UnicodeDecodeError, RecursionError) as error:
-        raise _damaged(" ".join(str(error).split())[:200]) from None
+        raise _damaged(printable(str(error)[:200])) from None
     check_manifest(manifest)
     return manifest
 
