@@ -20,7 +20,6 @@ from mixo_env.recordings.steps import BROKEN_IN_A_ROW, BROKEN_SHARE, _check_brok
 from tests.recording_fakes import FAKES, FakeCamera, FakeDataset, make_scene, write_picture
 
 CONFIG = RecordConfig()
-ONE = replace(CONFIG, scenes=("scene-2002",))
 NAMES = ["scene-2001", "scene-2002", "scene-2003"]
 
 
@@ -28,13 +27,6 @@ NAMES = ["scene-2001", "scene-2002", "scene-2003"]
 def dataset(tmp_path_factory) -> FakeDataset:
     folder = tmp_path_factory.mktemp("images")
     return FakeDataset({name: make_scene(folder, name, name[-1]) for name in NAMES})
-
-
-@pytest.fixture(scope="module")
-def whole(dataset, tmp_path_factory) -> Path:
-    folder = tmp_path_factory.mktemp("whole") / "run"
-    record(dataset, CONFIG, folder, experts=FAKES)
-    return folder
 
 
 def files(folder: Path) -> dict[str, bytes]:
