@@ -94,6 +94,8 @@ def save_recordings(recordings: Recordings, folder: str | Path) -> None:
 
     Poses are saved as they were written, whatever lag was removed from them.
 
+    Poses are saved as they were written, whatever lag was removed from them.
+
     Raises:
         RecordingError: for columns other than those of the schema, or if the folder holds a recording that cannot be
             read: that is never overwritten.
@@ -142,6 +144,7 @@ def _settled(folder: Path) -> Recordings | None:
 
 def _encoded(recordings: Recordings) -> tuple[dict[str, Column], Manifest, bytes]:
     """Columns in file order, the manifest with the scenes' value hashes, and its file's content."""
+    recordings = as_written(recordings)
     _check_columns(
         {name: recordings[name].dtype.name for name in recordings.column_names}, recordings.manifest, "cannot save"
     )
