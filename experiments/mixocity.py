@@ -7,6 +7,7 @@ be interrupted: the same command continues.
 from __future__ import annotations
 
 import logging
+import shutil
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
@@ -124,6 +125,7 @@ class Build:
         recordings = record(open_dataset(root), config, self.cache / name, self.workers, progress)
         if skipped := recordings.manifest.parameters["skipped"]:
             raise DatasetError(f"{name} is not whole: {len(skipped)} scenes could not be recorded, see above")
+        shutil.rmtree(self.out / name, ignore_errors=True)  # of an older schema, perhaps, which is never overwritten
         save_recordings(with_planned_folds(recordings), self.out / name)
         logger.info("%s: %d scenes, %d rows in %s", name, len(recordings), len(recordings["step"]), self.out / name)
 

@@ -23,12 +23,15 @@ def root(tmp_path_factory):
 
 
 def test_a_folder_becomes_a_recording(root, tmp_path, capsys, caplog):
-    assert main(["record", str(root), "--out", str(tmp_path / "run")]) == 0
+    assert main(["record", str(root), "--out", str(tmp_path / "run")]) == 1  # a scene was skipped
     assert "skipped scene-2757: can-bus: no CAN bus" in caplog.text
-    assert "1 scenes" in capsys.readouterr().out
+    said = capsys.readouterr().out
+    assert "1 scenes" in said
+    assert "1 skipped for the reasons above: the same command tries them again" in said
+    assert main(["record", str(root), "--out", str(tmp_path / "run"), "--scenes", "scene-2061"]) == 0
     recordings = load_recordings(tmp_path / "run")
     assert [scene.name for scene in recordings.scenes] == ["scene-2061"]
-    assert recordings.manifest.parameters["skipped"].keys() == {"scene-2757"}
+    assert recordings.manifest.parameters["skipped"] == {}  # the second run asked for the other one only
     assert recordings.manifest.parameters["monocular"]["features"] == MonocularConfig.preset("fast").features
     truth = recordings["truth.yaw_increment_rad"][1:]
     np.testing.assert_allclose(recordings["INERTIAL.yaw_increment_rad"][1:], truth, atol=2e-3)

@@ -12,8 +12,11 @@ from mixo_env.errors import ConfigurationError, TrajectoryError
 from mixo_env.experts.imported import MAXIMUM_GAP_S, imported_increments
 from mixo_env.fusion import least_squares_weights
 from mixo_env.geometry import multiply_quaternions_wxyz, quaternion_wxyz_from_rotation
+from mixo_env.leaderboard.evaluation import FLOORS
+from mixo_env.policies.registry import POLICIES
 from mixo_env.recordings.fitting import DEFAULT_REWARD_SCALE_RAD, substituted_increments
 from mixo_env.recordings.importing import read_trajectories, with_imported
+from mixo_env.recordings.names import ROWS, is_reserved
 from mixo_env.recordings.store import load_recordings, save_recordings
 from mixo_env.trajectory import Trajectory, write_kitti, write_tum
 from tests.synthetic import synthetic_recordings
@@ -121,11 +124,50 @@ def test_scenes_without_a_trajectory_stay_empty():
     assert available == [0, extended.scenes[1].rows - 1, 0]
 
 
-@pytest.mark.parametrize("name", ["CAM_FRONT", "INERTIAL_POSE", "a b", "x.y", ""])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "CAM_FRONT",
+        "cam_front",
+        "CAM_FRONT_RIGHT",
+        "INERTIAL_POSE",
+        "a b",
+        "x.y",
+        "",
+        "truth",
+        "Exact",
+        "linear",
+        "MIXO",
+        "step",
+        "VISION",
+    ],
+)
 def test_names_that_cannot_be_used(name):
     recordings = synthetic_recordings(scenes=1)
     with pytest.raises(ConfigurationError):
         with_imported(recordings, name, {"scene-2001": truth(recordings, "scene-2001")})
+
+
+def test_the_names_of_all_rows_are_reserved():
+    rows = (*POLICIES, *FLOORS)
+    assert [name for name in rows if not is_reserved(name)] == []
+    assert set(ROWS) == set(rows)
+    assert not is_reserved("ORB-SLAM3")
+
+
+def test_another_recording_is_never_replaced(tmp_path, capsys):
+    for seed, name in enumerate(("in", "other")):
+        save_recordings(synthetic_recordings(seed=seed, scenes=2), tmp_path / name)
+    recordings = load_recordings(tmp_path / "in")
+    (tmp_path / "files").mkdir()
+    write_tum(tmp_path / "files" / "scene-2001.txt", truth(recordings, "scene-2001"))
+    before = (tmp_path / "other" / "recordings.parquet").read_bytes()
+    arguments = ["import", str(tmp_path / "in"), "--expert", "X", "--trajectories", str(tmp_path / "files"), "--out"]
+    assert main([*arguments, str(tmp_path / "other")]) == 2
+    assert "other holds another recording: choose another --out" in capsys.readouterr().err
+    assert (tmp_path / "other" / "recordings.parquet").read_bytes() == before
+    assert main([*arguments, str(tmp_path / "in")]) == 0  # in place: nothing is lost
+    assert load_recordings(tmp_path / "in").manifest.imported == ("X",)
 
 
 def test_no_scene_at_all_is_an_error():

@@ -31,7 +31,7 @@ def dataset(tmp_path):
 
 
 def files(folder):
-    return {path.name: path.read_bytes() for path in folder.iterdir() if path.name != "timings.parquet"}
+    return {path.name: path.read_bytes() for path in folder.glob("[mr]*")}
 
 
 def counting(seen: list[str]) -> Experts:
@@ -149,15 +149,18 @@ def test_a_damaged_recording_is_recorded_anew(dataset, tmp_path, caplog):
     before = files(out)
     (out / "recordings.parquet").write_bytes(b"PAR1")
     record(dataset, CONFIG, out, experts=FAKES)
-    assert "recording anew" in caplog.text
+    assert "0 of 6 scenes are sound and kept; recording anew: scene-2001, " in caplog.text
     assert files(out) == before
+    (aside,) = out.glob("damaged-*")
+    assert files(aside) == before | {"recordings.parquet": b"PAR1"}
 
 
 def test_broken_scenes_are_skipped_and_listed(dataset, tmp_path, caplog):
     dataset.broken = {"scene-2001": "no ego poses"}
     dataset.scenes["scene-2002"] = replace(dataset.scenes["scene-2002"], can_bus=None)
-    dataset.scenes["scene-2003"].cameras["CAM_BACK"].image_paths[5].write_bytes(b"no JPEG")
-    dataset.scenes["scene-2004"].cameras["CAM_FRONT"].image_paths[0].unlink()
+    for i in (5, 6):
+        dataset.scenes["scene-2003"].cameras["CAM_BACK"].image_paths[i].write_bytes(b"no JPEG")
+        dataset.scenes["scene-2004"].cameras["CAM_FRONT"].image_paths[i - 5].unlink()
     with caplog.at_level(logging.WARNING):
         recordings = record(dataset, CONFIG, tmp_path / "out", experts=FAKES)
     assert [scene.name for scene in recordings.scenes] == ["scene-2005", "scene-2006"]

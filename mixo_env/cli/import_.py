@@ -43,14 +43,17 @@ class Import:
         """Extend the recording and say how much of it the new expert covers."""
         import numpy as np
 
-        from mixo_env.files import writable_folder
+        from mixo_env.errors import ConfigurationError
+        from mixo_env.recordings.folder import claimed
         from mixo_env.recordings.importing import read_trajectories, with_imported
-        from mixo_env.recordings.store import load_recordings, save_recordings
+        from mixo_env.recordings.store import load_recordings, settled, write_recordings
 
-        writable_folder(self.out)
-        trajectories = read_trajectories(self.trajectories, self.axes, self.quaternions)
-        extended = with_imported(load_recordings(self.recordings), self.expert, trajectories)
-        save_recordings(extended, self.out)
+        with claimed(self.out) as home:
+            if settled(home) is not None and home.resolve() != Path(self.recordings).resolve():
+                raise ConfigurationError(f"{home} holds another recording: choose another --out, or remove it first")
+            trajectories = read_trajectories(self.trajectories, self.axes, self.quaternions)
+            extended = with_imported(load_recordings(self.recordings), self.expert, trajectories)
+            write_recordings(extended, home)
         available = np.isfinite(extended[f"{self.expert}.yaw_increment_rad"])
         covered = sum(bool(available[a:b].any()) for a, b in zip(extended.offsets, extended.offsets[1:], strict=False))
         share = available.sum() / (len(available) - len(extended))

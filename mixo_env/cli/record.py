@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar, Literal
@@ -17,7 +18,7 @@ class Record:
 
     Images are read here and never again: environments, policies and scores work on the recording. An interrupted run
     continues where it stopped; scenes that cannot be recorded, or in which `mixo inspect` finds a problem, are skipped
-    with the reason.
+    with the reason, and the exit code is 1 then.
 
     Worked examples:
 
@@ -74,6 +75,7 @@ class Record:
         from mixo_env.nuscenes.checks.judge import JudgedDataset
         from mixo_env.nuscenes.selecting import chosen
         from mixo_env.nuscenes.tables import open_dataset
+        from mixo_env.recordings.folder import claimed
         from mixo_env.recordings.record import RecordConfig, record
         from mixo_env.recordings.vocabularies import retrain
 
@@ -86,13 +88,8 @@ class Record:
             dataset.channel(camera)
         scenes = chosen(dataset, self.scenes, self.selection)
         judged = JudgedDataset(dataset, self.despite)
-        config = RecordConfig(
-            cameras=self.cameras,
-            scenes=scenes,
-            monocular=monocular,
-            folds=self.folds,
-            data_version=self.data_version,
-            variants=retrain(
+        with claimed(self.out) if self.retrained else nullcontext():
+            variants = retrain(
                 dataset,
                 self.retrained,
                 monocular,
@@ -100,7 +97,14 @@ class Record:
                 scenes=scenes,
                 folds=self.folds,
                 workers=self.workers,
-            ),
+            )
+        config = RecordConfig(
+            cameras=self.cameras,
+            scenes=scenes,
+            monocular=monocular,
+            folds=self.folds,
+            data_version=self.data_version,
+            variants=variants,
         )
         console = Console(stderr=True)
         with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
@@ -118,6 +122,6 @@ class Record:
         print(
             f"{self.out}: {len(recordings)} scenes, {len(recordings['step']):,} rows, "
             f"{len({scene.log for scene in recordings.scenes})} logs ({manifest.data_version})"
-            + (f"; {skipped} skipped, see above" if skipped else "")
+            + (f"; {skipped} skipped for the reasons above: the same command tries them again" if skipped else "")
         )
-        return 0
+        return 1 if skipped else 0

@@ -14,7 +14,7 @@ from mixo_env.errors import ConfigurationError, TrajectoryError
 from mixo_env.experts.imported import imported_increments
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.fitting import with_fits
-from mixo_env.recordings.schema import INERTIAL_EXPERTS
+from mixo_env.recordings.names import is_reserved
 from mixo_env.trajectory import Trajectory, read_trajectory
 from mixo_env.trajectory.layout import RPG_ESTIMATE, scene_files
 from mixo_env.trajectory.quaternions import QuaternionOrder
@@ -63,8 +63,10 @@ def with_imported(recordings: Recordings, expert: str, trajectories: Mapping[str
     """
     if not re.fullmatch(r"[A-Za-z][\w+-]*", expert):
         raise ConfigurationError(f"expected a name of letters, digits, _, + and - for the expert, got {expert!r}")
-    if expert in recordings.experts or expert in INERTIAL_EXPERTS:
+    if expert.casefold() in {name.casefold() for name in recordings.experts}:
         raise ConfigurationError(f"expert {expert!r} is already there: choose another name")
+    if is_reserved(expert):
+        raise ConfigurationError(f"{expert!r} is the name of something else here: choose another name for the expert")
     names = [scene.name for scene in recordings.scenes]
     used = [name for name in names if name in trajectories]
     if not used:

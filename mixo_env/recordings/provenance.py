@@ -63,6 +63,14 @@ def configuration_hash(configuration: dict[str, Any]) -> str:
     return hashlib.blake2b(text.encode(), digest_size=8).hexdigest()
 
 
+def _size(path: Path) -> int:
+    """Bytes of an image; -1 if it is missing, which is a matter of one step."""
+    try:
+        return path.stat().st_size
+    except OSError:
+        return -1
+
+
 def inputs_hash(scene: Scene) -> str:
     """Hash of what the experts of a scene are given: times, poses, calibration, CAN bus, and the sizes of the images.
 
@@ -81,7 +89,7 @@ def inputs_hash(scene: Scene) -> str:
             add(name, value)
         for name in ("timestamp_us", "is_keyframe", "x_m", "y_m", "yaw_rad"):
             add(name, getattr(track, name))
-        add("images", [path.stat().st_size for path in track.image_paths])
+        add("images", [_size(path) for path in track.image_paths])
     for part in (scene.can_bus, scene.exact):
         for field in fields(part) if part is not None else ():
             value = getattr(part, field.name)

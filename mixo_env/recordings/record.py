@@ -7,15 +7,17 @@ recording takes in further scenes; parts count only if the same configuration, s
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterator, Mapping
+import traceback
+from collections.abc import Callable, Mapping
+from contextlib import closing
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Protocol, cast
+from typing import Any, Protocol
 
 import numpy as np
 
-from mixo_env.errors import ConfigurationError, DatasetError, unknown
+from mixo_env.errors import ConfigurationError, DatasetError, MixoError, unknown
 from mixo_env.experts.inertial import (
     SPEED_VARIANCE,
     WHEEL_RADIUS_M,
@@ -28,13 +30,15 @@ from mixo_env.nuscenes.scene import Scene
 from mixo_env.nuscenes.selections import CAMERAS
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.fitting import with_fits
+from mixo_env.recordings.folder import claimed
 from mixo_env.recordings.folds import FOLD_RULES, OUT_OF_DISTRIBUTION, with_folds
+from mixo_env.recordings.manifest import is_scene_name
 from mixo_env.recordings.parts import Part, PartFolder, finished_parts
-from mixo_env.recordings.processes import processes
+from mixo_env.recordings.processes import KILLED, Killed, each
 from mixo_env.recordings.provenance import configuration_hash, file_hash, inputs_hash, software_versions
 from mixo_env.recordings.schema import INERTIAL_EXPERTS, SCHEMA_VERSION, Manifest, SceneEntry
-from mixo_env.recordings.steps import Columns, Experts, record_scene
-from mixo_env.recordings.store import TIMINGS_FILE, load_recordings, save_recordings, write_columns
+from mixo_env.recordings.steps import Columns, Experts, broken_images, record_scene
+from mixo_env.recordings.store import TIMINGS_FILE, load_recordings, write_columns, write_recordings
 from mixo_env.recordings.vehicles import training_constants
 from mixo_env.recordings.vocabularies import Retrained
 
@@ -43,11 +47,22 @@ logger = logging.getLogger(__name__)
 CAMERA_COST_MS = 25.0
 """Processing cost of one image in budget environments: a constant of the benchmark, not a timing of this machine."""
 
+SCENE_BYTES = 500_000
+"""Room for a scene of 20 s: its part, the recording and the one it replaces."""
+
 Progress = Callable[[int, int], None]
 """Called with the number of scenes done and of all scenes."""
 
 
-Result = Part | str | None
+@dataclass(frozen=True)
+class Skipped:
+    """Why a scene could not be recorded: one line, and for an error that nobody foresaw its traceback."""
+
+    reason: str
+    details: str = ""
+
+
+Result = Part | Skipped | Killed | None
 """Of one scene: what was recorded, why it could not be, or ``None`` if an earlier part still fits."""
 
 
@@ -150,8 +165,8 @@ def record(
 ) -> Recordings:
     """Record scenes into a folder.
 
-    Scenes that cannot be recorded (no CAN bus, an unreadable image, ...) are skipped with a warning and listed in the
-    manifest's parameters. Values do not depend on the number of workers.
+    Scenes that cannot be recorded (no CAN bus, too many unreadable images, a killed worker, ...) are skipped with a
+    warning and listed in the manifest's parameters. Values do not depend on the number of workers.
 
     Args:
         dataset: where scenes come from.
@@ -163,57 +178,75 @@ def record(
         scheduler: address of a Dask scheduler whose workers record instead.
 
     Raises:
-        ConfigurationError: for an unknown scene or camera, or if ``out`` holds a recording of another configuration.
+        ConfigurationError: for an unknown scene or camera, if ``out`` holds a recording of another configuration, or if
+            another process writes there.
+        OutputError: if nothing can be written, at the beginning or later: what was recorded by then is kept.
+        RecordingError: if ``out`` holds a recording whose manifest is damaged.
         DatasetError: if not a single scene could be recorded.
     """
-    from joblib import Parallel, delayed
-
-    out = Path(out)
     names = _scene_names(dataset, config)
     configuration = configuration_hash(config.parameters())
-    folder = PartFolder(out, configuration)
-    parts = finished_parts(out, configuration) | folder.read()
-    if strangers := sorted(set(parts) - set(dataset.scene_names)):
-        raise ConfigurationError(
-            f"{out} holds scenes that are not in this data set ({strangers[0]}, ...): choose another --out"
-        )
+    with claimed(out, len(names) * SCENE_BYTES) as home:
+        folder = PartFolder(home, configuration)
+        finished = finished_parts(home, configuration)
+        parts = {**finished.parts, **folder.read()}
+        known = names | set(parts) | set(finished.lost)
+        if strangers := sorted(known - set(dataset.scene_names)):
+            raise ConfigurationError(
+                f"{out} holds scenes that are not in this data set ({strangers[0]}, ...): choose another --out"
+            )
+        # Scenes recorded earlier stay, whether they are asked for or not, and are recorded anew if they were lost.
+        tasks = {
+            name: (
+                dataset,
+                name,
+                config.cameras,
+                experts or default_experts(config, name),
+                parts[name].inputs if name in parts else None,
+            )
+            for name in dataset.scene_names
+            if name in known
+        }
+        skipped: dict[str, str] = {}
+        with closing(each(_record_one, tasks, workers, scheduler)) as results:
+            for done, (name, result) in enumerate(results, start=1):
+                _take(name, result, parts, skipped, folder)
+                if progress is not None:
+                    progress(done, len(tasks))
+        ordered = [parts[name] for name in tasks if name in parts]
+        if not ordered:
+            first = min(skipped)
+            raise DatasetError(f"none of {len(tasks)} scenes could be recorded; the first, {first}: {skipped[first]}")
+        provenance = {
+            "configuration": configuration,
+            "dataset": dataset.version,
+            "skipped": dict(sorted(skipped.items())),
+        }
+        recordings = _assemble(ordered, config, dataset.version, provenance)
+        timings = _joined([part.timings for part in ordered])
+        write_columns(home / TIMINGS_FILE, timings, [len(timings["timestamp_us"])])
+        write_recordings(recordings, home)
+        folder.remove()
+        return load_recordings(home)
 
-    # Scenes recorded earlier stay, whether they are asked for or not.
-    names = [name for name in dataset.scene_names if name in names or name in parts]
-    skipped: dict[str, str] = {}
-    tasks = (
-        delayed(_record_one)(
-            dataset,
-            name,
-            config.cameras,
-            experts or default_experts(config, name),
-            parts[name].inputs if name in parts else None,
-        )
-        for name in names
-    )
-    with processes(workers, scheduler):
-        results = cast("Iterator[tuple[str, Result]]", Parallel(return_as="generator_unordered")(tasks))
-        for done, (name, result) in enumerate(results, start=1):
-            if isinstance(result, Part):
-                folder.write(result)
-                parts[name] = result
-            elif isinstance(result, str) and name in parts:
-                logger.warning("kept %s as recorded earlier: %s", name, result)
-            elif isinstance(result, str):
-                skipped[name] = result
-                logger.warning("skipped %s: %s", name, result)
-            if progress is not None:
-                progress(done, len(names))
-    if not parts:
-        raise DatasetError(f"none of {len(names)} scenes could be recorded; the first, {names[0]}: {skipped[names[0]]}")
 
-    ordered = [parts[name] for name in names if name in parts]
-    provenance = {"configuration": configuration, "dataset": dataset.version, "skipped": dict(sorted(skipped.items()))}
-    save_recordings(_assemble(ordered, config, dataset.version, provenance), out)
-    timings = _joined([part.timings for part in ordered])
-    write_columns(out / TIMINGS_FILE, timings, [len(timings["timestamp_us"])])
-    folder.remove()
-    return load_recordings(out)
+def _take(name: str, result: Result, parts: dict[str, Part], skipped: dict[str, str], folder: PartFolder) -> None:
+    """Keep what became of one scene: in ``folder`` and ``parts``, or its reason in ``skipped``."""
+    if isinstance(result, Killed):
+        result = Skipped(KILLED)
+    if isinstance(result, Part):
+        folder.write(result)
+        parts[name] = result
+        for camera, count in result.broken_images.items():
+            logger.warning("%s: %d images of %s cannot be read: no image in these steps", name, count, camera)
+    elif isinstance(result, Skipped):
+        if result.details:
+            logger.info("%s: %s", name, result.details)
+        if name in parts:
+            logger.warning("kept %s as recorded earlier: %s", name, result.reason)
+        else:
+            skipped[name] = result.reason
+            logger.warning("skipped %s: %s", name, result.reason)
 
 
 def _assemble(parts: list[Part], config: RecordConfig, version: str, provenance: dict[str, Any]) -> Recordings:
@@ -227,7 +260,11 @@ def _assemble(parts: list[Part], config: RecordConfig, version: str, provenance:
         scenes=scenes,
         parameters=config.parameters()
         | provenance
-        | {"folds": config.folds, "inputs": {part.entry.name: part.inputs for part in parts}},
+        | {
+            "folds": config.folds,
+            "inputs": {part.entry.name: part.inputs for part in parts},
+            "broken_images": {part.entry.name: dict(part.broken_images) for part in parts if part.broken_images},
+        },
         software=software_versions(),
         camera_cost_ms=dict.fromkeys(config.cameras, CAMERA_COST_MS),
         variants={name: variant.camera for name, variant in config.variants.items()},
@@ -239,26 +276,40 @@ def _assemble(parts: list[Part], config: RecordConfig, version: str, provenance:
 
 def _record_one(
     dataset: SceneSource, name: str, cameras: tuple[str, ...], experts: Experts, known_inputs: str | None
-) -> tuple[str, Result]:
-    """Record one scene, in any process.
-
-    Returns:
-        The scene's name and the result; ``None`` if its inputs are the known ones.
-    """
+) -> Result:
+    """Record one scene, in any process; ``None`` if its inputs are the known ones."""
     import cv2
 
     cv2.setNumThreads(1)
     try:
+        if not is_scene_name(name):
+            raise DatasetError(f"a scene cannot be called {name!r}: the name must be fit for a file")
         scene = dataset.load(name, cameras)
         inputs = inputs_hash(scene)
         if inputs == known_inputs:
-            return name, None
+            return None
         columns, timings = record_scene(scene, experts)
-    except (DatasetError, OSError) as error:
-        return name, " ".join(str(error).split())
+        if infinite := [column for column, values in columns.items() if np.isinf(values).any()]:
+            raise DatasetError(f"{infinite[0]} is infinite in some step: poses, calibration or CAN bus are broken")
+    except ConfigurationError:
+        raise  # of every scene alike
+    except (MixoError, OSError) as error:
+        return Skipped(" ".join(str(error).split()))
+    except MemoryError:
+        return Skipped("out of memory: use fewer workers")
+    except Exception as error:  # one scene, however broken, never ends the run of the others
+        return Skipped(_unexpected(error), traceback.format_exc())
     fold = OUT_OF_DISTRIBUTION  # until all scenes are known
     entry = SceneEntry(name, scene.log, scene.vehicle, scene.location, scene.conditions, fold, len(columns["step"]))
-    return name, Part(entry, inputs, columns, timings)
+    return Part(entry, inputs, columns, timings, broken_images(timings))
+
+
+def _unexpected(error: Exception) -> str:
+    """Type, message and place of an error that nobody foresaw, in one line."""
+    frames = traceback.extract_tb(error.__traceback__)
+    place = next((frame for frame in reversed(frames) if "mixo_env" in frame.filename), frames[-1])
+    message = " ".join(str(error).split())[:200]
+    return f"unexpected {type(error).__name__} in {Path(place.filename).name}:{place.lineno} ({message}); -v says more"
 
 
 def _scene_names(dataset: SceneSource, config: RecordConfig) -> set[str]:

@@ -22,7 +22,7 @@ from mixo_env.experts.inertial import InertialTrack
 from mixo_env.nuscenes.images import read_jpeg
 from mixo_env.nuscenes.scene import CameraCalibration, CameraTrack, CanBus, Scene
 from mixo_env.recordings.carry import carry_camera
-from mixo_env.recordings.clock import firing_rounds
+from mixo_env.recordings.clock import NONE, firing_rounds
 from mixo_env.recordings.schema import INERTIAL_EXPERTS, empty_columns
 from mixo_env.recordings.truth import exact_truth, own_window_truth, step_truth
 
@@ -38,6 +38,12 @@ TIMING_COLUMNS = {
     "expert_ms": "float64",
 }
 """CPU time of every image: kept apart from the recording, never hashed."""
+
+BROKEN_SHARE = 0.05
+"""Of a camera's images in one scene may be broken, and one in any case: that costs their steps and not the scene."""
+
+BROKEN_IN_A_ROW = 10
+"""Broken images (0.8 s) at most: after a longer gap the odometry would begin anew."""
 
 
 class InertialExpert(Protocol):
@@ -75,7 +81,7 @@ def record_scene(scene: Scene, experts: Experts) -> tuple[Columns, Columns]:
 
     Raises:
         DatasetError: without CAN bus, wheel speeds or IMU, or if they do not cover the images; for timing that is not
-            that of the nuScenes rig; for an image that cannot be read.
+            that of the nuScenes rig; for more images that cannot be read than ``BROKEN_SHARE`` allows.
     """
     if scene.can_bus is None:
         raise DatasetError("no CAN bus: distance and inertial odometry need wheel speeds and an IMU")
@@ -115,14 +121,15 @@ def record_scene(scene: Scene, experts: Experts) -> tuple[Columns, Columns]:
         rows = np.flatnonzero(rounds.fired[:, j])
         image = rounds.image[rows, j]
         at_image = np.searchsorted(times, track.timestamp_us[image])
-        columns[f"{camera}.image_time_offset_s"][rows] = 1e-6 * (track.timestamp_us[image] - closing[rows])
-        columns[f"{camera}.own_window_s"][rows[1:]] = 1e-6 * np.diff(track.timestamp_us[image])
-        columns[f"{camera}.own_window_truth_yaw_increment_rad"][:] = own_window_truth(track, rounds.image[:, j])
         made = {camera: experts.camera}
         made |= {name: make for name, (of, make) in experts.variants.items() if of == camera}
         for name, make in made.items():
             steps, timing = _run_camera(name, make(track.calibration), track, image, inertial.distance_m[at_image])
             timings.append(timing | {"scene": np.full(len(image), scene.name, object)})
+            sound = np.isfinite(timing["expert_ms"])  # the other images are as good as never taken
+            rows, image, at_image = rows[sound], image[sound], at_image[sound]
+            if name == camera:
+                _record_images(columns, track, rows, image)
             _record_camera(columns, name, camera, steps, rows)
     return columns, {name: np.concatenate([timing[name] for timing in timings]) for name in TIMING_COLUMNS}
 
@@ -146,24 +153,64 @@ def _run_camera(
         distance_m: ``(n,)`` inertial distance since the start of the scene at each of them.
 
     Returns:
-        The expert's ``n`` steps, and their timings but for the scene.
+        The expert's steps, one for each image that can be read, and the timings of all ``n`` but for the scene; an
+        image that cannot be read has NaN for the expert's.
+
+    Raises:
+        DatasetError: if too many images cannot be read.
     """
-    steps, decode_ms, expert_ms = [], [], []
-    travelled = np.diff(distance_m, prepend=distance_m[0])
-    for i, metres in zip(image, travelled, strict=True):
+    steps: list[CameraStep] = []
+    decode_ms, expert_ms = np.full((2, len(image)), np.nan)
+    problems: dict[int, str] = {}
+    before = distance_m[0]
+    for n, i in enumerate(image):
         start = time.thread_time()
-        grey = read_grey(track.image_paths[i], expert.halvings)
+        try:
+            grey = read_grey(track.image_paths[i], expert.halvings)
+        except DatasetError as error:
+            problems[n] = str(error)
+            _check_broken(problems, len(image))
+            continue
         decoded = time.thread_time()
-        steps.append(expert.process(grey, int(track.timestamp_us[i]), float(metres)))
-        decode_ms.append(1e3 * (decoded - start))
-        expert_ms.append(1e3 * (time.thread_time() - decoded))
+        steps.append(expert.process(grey, int(track.timestamp_us[i]), float(distance_m[n] - before)))
+        before = distance_m[n]
+        decode_ms[n] = 1e3 * (decoded - start)
+        expert_ms[n] = 1e3 * (time.thread_time() - decoded)
     timing = {
         "camera": np.full(len(image), name, object),
         "timestamp_us": track.timestamp_us[image],
-        "decode_ms": np.array(decode_ms),
-        "expert_ms": np.array(expert_ms),
+        "decode_ms": decode_ms,
+        "expert_ms": expert_ms,
     }
     return steps, timing
+
+
+def _check_broken(problems: Mapping[int, str], images: int) -> None:
+    """Whether a camera can be used in spite of its broken images (number in the scene -> problem)."""
+    run = 0
+    while max(problems) - run in problems:
+        run += 1
+    if len(problems) > max(1.0, BROKEN_SHARE * images) or run > BROKEN_IN_A_ROW:
+        raise DatasetError(
+            f"{len(problems)} of {images} images cannot be read, {run} of them in a row; expected at most "
+            f"{BROKEN_SHARE:.0%} and {BROKEN_IN_A_ROW}; the first: {next(iter(problems.values()))}"
+        )
+
+
+def broken_images(timings: Columns) -> dict[str, int]:
+    """Camera -> number of its images that could not be read, for those that have any, from a scene's timings."""
+    cameras = timings["camera"][np.isnan(timings["expert_ms"])]
+    return {str(camera): int(np.sum(cameras == camera)) for camera in dict.fromkeys(cameras)}
+
+
+def _record_images(columns: Columns, track: CameraTrack, rows: NDArray[np.int64], image: NDArray[np.int64]) -> None:
+    """When the images of one camera were taken: ``image`` are their numbers, one for each of ``rows``."""
+    camera, times = track.calibration.channel, track.timestamp_us[image]
+    taken = np.full(len(columns["step"]), NONE)
+    taken[rows] = image
+    columns[f"{camera}.image_time_offset_s"][rows] = 1e-6 * (times - columns["timestamp_us"][rows])
+    columns[f"{camera}.own_window_s"][rows[1:]] = 1e-6 * np.diff(times)
+    columns[f"{camera}.own_window_truth_yaw_increment_rad"][:] = own_window_truth(track, taken)
 
 
 def _record_camera(

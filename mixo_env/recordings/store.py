@@ -2,15 +2,16 @@
 
 What is read is checked against the manifest: schema version, columns, row counts and a hash of every scene's column
 values, so a truncated or edited file is one clear error and never a wrong score.
+
+Both files change together. New rows are written to ``recordings.next.parquet``; the rename of the new manifest makes
+them the recording; then they take their place. Whoever opens a folder that was left between the two renames finds the
+rows that fit the manifest under the other name.
 """
 
 from __future__ import annotations
 
 import hashlib
-import os
-import tempfile
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from importlib.resources import files
 from importlib.resources.abc import Traversable
@@ -19,32 +20,20 @@ from pathlib import Path
 import numpy as np
 
 from mixo_env.errors import RecordingError, unknown
+from mixo_env.files import atomic_path, write_bytes
 from mixo_env.recordings.collection import Column, Recordings
+from mixo_env.recordings.folder import claimed, writing
+from mixo_env.recordings.manifest import LARGEST_MANIFEST, MANIFEST_FILE, decode_manifest, encode_manifest
 from mixo_env.recordings.pose_lag import as_written
-from mixo_env.recordings.schema import SCHEMA_VERSION, Manifest
+from mixo_env.recordings.schema import Manifest
 from mixo_env.recordings.schema import columns as schema_columns
 
 DEFAULT_RECORDINGS = "mixocity"
 """The recording that comes with the package."""
 
 RECORDINGS_FILE = "recordings.parquet"
-MANIFEST_FILE = "manifest.json"
+NEXT_FILE = "recordings.next.parquet"
 TIMINGS_FILE = "timings.parquet"
-
-
-@contextmanager
-def atomic_path(path: Path) -> Iterator[Path]:
-    """A temporary path in the same folder that becomes ``path`` when the block ends well and vanishes otherwise."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    os.close(handle)
-    temporary = Path(name)
-    try:
-        yield temporary
-        temporary.chmod(0o644)
-        temporary.replace(path)
-    finally:
-        temporary.unlink(missing_ok=True)
 
 
 def values_hash(columns: Mapping[str, Column]) -> str:
@@ -101,29 +90,77 @@ def read_columns(data: bytes) -> tuple[dict[str, Column], list[int], dict[str, s
 
 
 def save_recordings(recordings: Recordings, folder: str | Path) -> None:
-    """Write ``recordings.parquet`` and ``manifest.json`` into a folder, each atomically.
+    """Write a recording into a folder, in place of the one it may hold.
 
-    The scenes' value hashes are computed here. Poses are saved as they were written, whatever lag was removed from
-    them; columns other than those of the schema raise :class:`RecordingError`.
+    Poses are saved as they were written, whatever lag was removed from them.
+
+    Poses are saved as they were written, whatever lag was removed from them.
+
+    Raises:
+        RecordingError: for columns other than those of the schema, or if the folder holds a recording that cannot be
+            read: that is never overwritten.
+        ConfigurationError: if nothing can be written there, or another process is writing.
     """
-    import msgspec
+    encoded = _encoded(recordings)
+    with claimed(folder) as home:
+        settled(home)
+        _write(*encoded, home)
 
+
+def write_recordings(recordings: Recordings, folder: Path) -> None:
+    """As :func:`save_recordings`, in a folder that is claimed and settled."""
+    _write(*_encoded(recordings), folder)
+
+
+def settled(folder: Path) -> Recordings | None:
+    """What a claimed folder holds, tidied up after a run that was stopped; ``None`` if it holds no recording.
+
+    Raises:
+        RecordingError: if it holds one that cannot be read.
+        OutputError: if it cannot be tidied up.
+    """
+    with writing(folder):
+        return _settled(folder)
+
+
+def _settled(folder: Path) -> Recordings | None:
+    for stale in folder.glob(".part-*"):
+        stale.unlink(missing_ok=True)
+    if not (folder / MANIFEST_FILE).exists():
+        if (folder / RECORDINGS_FILE).exists():
+            raise RecordingError(
+                f"{folder} holds {RECORDINGS_FILE} without its {MANIFEST_FILE}: put that back, or choose another --out"
+            )
+        (folder / NEXT_FILE).unlink(missing_ok=True)  # of a first run that was stopped: its manifest never came
+        return None
+    recordings, name = _open(
+        folder, str(folder), "it is not overwritten: mend it, move it away or choose another --out"
+    )
+    if name == NEXT_FILE:
+        (folder / NEXT_FILE).replace(folder / RECORDINGS_FILE)
+    (folder / NEXT_FILE).unlink(missing_ok=True)
+    return recordings
+
+
+def _encoded(recordings: Recordings) -> tuple[dict[str, Column], Manifest, bytes]:
+    """Columns in file order, the manifest with the scenes' value hashes, and its file's content."""
     recordings = as_written(recordings)
-    folder = Path(folder)
     _check_columns(
         {name: recordings[name].dtype.name for name in recordings.column_names}, recordings.manifest, "cannot save"
     )
     entries = tuple(
         replace(scene, values_hash=values_hash(recordings.rows(i))) for i, scene in enumerate(recordings.scenes)
     )
-    manifest = msgspec.json.format(msgspec.json.encode(replace(recordings.manifest, scenes=entries)), indent=2)
-    write_columns(
-        folder / RECORDINGS_FILE,
-        {name: recordings[name] for name in schema_columns(*_experts(recordings.manifest))},
-        [scene.rows for scene in entries],
-    )
-    with atomic_path(folder / MANIFEST_FILE) as temporary:
-        temporary.write_bytes(manifest + b"\n")
+    manifest = replace(recordings.manifest, scenes=entries)
+    columns = {name: recordings[name] for name in schema_columns(*_experts(manifest))}
+    return columns, manifest, encode_manifest(manifest)
+
+
+def _write(columns: Mapping[str, Column], manifest: Manifest, described: bytes, folder: Path) -> None:
+    write_columns(folder / NEXT_FILE, columns, [scene.rows for scene in manifest.scenes])
+    write_bytes(folder / MANIFEST_FILE, described)
+    with writing(folder):
+        (folder / NEXT_FILE).replace(folder / RECORDINGS_FILE)
 
 
 def bundled_recordings() -> tuple[str, ...]:
@@ -145,16 +182,53 @@ def load_recordings(path_or_name: str | Path | None = None) -> Recordings:
     """
     name = DEFAULT_RECORDINGS if path_or_name is None else path_or_name
     if isinstance(name, str) and name in bundled_recordings():
-        return _load(files("mixo_env.recordings") / "data" / name, f"bundled recording {name!r}", "reinstall mixo-env")
+        folder = files("mixo_env.recordings") / "data" / name
+        return _open(folder, f"bundled recording {name!r}", "reinstall mixo-env")[0]
     if not Path(name).exists() and len(Path(name).parts) == 1:
         raise RecordingError(f"no folder {str(name)!r} and {unknown('recording', str(name), bundled_recordings())}")
-    return _load(Path(name), str(name), f"record anew with `mixo record ROOT --out {name}`")
+    return _open(Path(name), str(name), f"record anew with `mixo record ROOT --out {name}`")[0]
 
 
-def _load(folder: Traversable, label: str, cure: str) -> Recordings:
-    manifest = _read_manifest(folder, label, cure)
+def _open(folder: Traversable, label: str, cure: str) -> tuple[Recordings, str]:
+    """A recording, and the name of the file that its rows are in."""
+    while True:
+        described = _manifest_bytes(folder, label, cure)
+        manifest = _decoded(described, label, cure)
+        problems = []
+        # A writer may rename the second to the first meanwhile, hence the first once more.
+        for name in (RECORDINGS_FILE, NEXT_FILE, RECORDINGS_FILE):
+            try:
+                return _verified(manifest, folder / name, label, cure), name
+            except RecordingError as error:
+                problems.append(error)
+        if _manifest_bytes(folder, label, cure) == described:
+            raise problems[0] from None
+
+
+def read_manifest(folder: Traversable, cure: str) -> Manifest:
+    """The manifest of a folder alone; :class:`RecordingError` ends in ``cure``."""
+    return _decoded(_manifest_bytes(folder, str(folder), cure), str(folder), cure)
+
+
+def _manifest_bytes(folder: Traversable, label: str, cure: str) -> bytes:
     try:
-        columns, rows, _ = read_columns((folder / RECORDINGS_FILE).read_bytes())
+        with (folder / MANIFEST_FILE).open("rb") as file:
+            return file.read(LARGEST_MANIFEST + 1)
+    except OSError:
+        raise RecordingError(f"{label}: expected a folder with {MANIFEST_FILE}, found none; {cure}") from None
+
+
+def _decoded(described: bytes, label: str, cure: str) -> Manifest:
+    try:
+        return decode_manifest(described)
+    except RecordingError as error:
+        raise RecordingError(f"{label}: {error}; {cure}") from None
+
+
+def _verified(manifest: Manifest, path: Traversable, label: str, cure: str) -> Recordings:
+    """The rows of a file, if they are those of the manifest."""
+    try:
+        columns, rows, _ = read_columns(path.read_bytes())
     except OSError:
         raise RecordingError(f"{label}: expected {RECORDINGS_FILE} beside {MANIFEST_FILE}; {cure}") from None
     except RecordingError as error:
@@ -171,24 +245,6 @@ def _load(folder: Traversable, label: str, cure: str) -> Recordings:
         if values_hash(recordings.rows(i)) != scene.values_hash:
             raise RecordingError(f"{label}: the values of {scene.name} differ from the manifest's hash; {cure}")
     return recordings
-
-
-def _read_manifest(folder: Traversable, label: str, cure: str) -> Manifest:
-    import msgspec
-
-    try:
-        table = msgspec.json.decode((folder / MANIFEST_FILE).read_bytes())
-    except OSError:
-        raise RecordingError(f"{label}: expected a folder with {MANIFEST_FILE}, found none; {cure}") from None
-    except msgspec.DecodeError as error:
-        raise RecordingError(f"{label}: {MANIFEST_FILE} is damaged ({error}); {cure}") from None
-    version = table.get("schema_version") if isinstance(table, dict) else None
-    if version != SCHEMA_VERSION:
-        raise RecordingError(f"{label}: expected schema version {SCHEMA_VERSION}, got {version}; {cure}")
-    try:
-        return msgspec.convert(table, Manifest)
-    except msgspec.ValidationError as error:
-        raise RecordingError(f"{label}: {MANIFEST_FILE} is damaged ({error}); {cure}") from None
 
 
 def _check_columns(dtypes: Mapping[str, str], manifest: Manifest, label: str, cure: str = "") -> None:
