@@ -153,8 +153,8 @@ def test_other_columns_or_rows(folder, change, match):
 @pytest.mark.parametrize(
     ("edit", "match"),
     [
-        (lambda m: m | {"schema_version": 99}, "expected schema version 1, got 99"),
-        (lambda m: {k: v for k, v in m.items() if k != "schema_version"}, "expected schema version 1, got None"),
+        (lambda m: m | {"schema_version": 99}, "expected schema version 2, got 99"),
+        (lambda m: {k: v for k, v in m.items() if k != "schema_version"}, "expected schema version 2, got None"),
         (lambda m: m | {"scenes": 3}, r"manifest.json is damaged \(Expected `array`"),
         (lambda m: {k: v for k, v in m.items() if k != "cameras"}, "manifest.json is damaged .*cameras"),
         (lambda m: m | {"scenes": m["scenes"][::-1]}, "expected 3 scenes|differ"),
