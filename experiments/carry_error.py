@@ -43,8 +43,8 @@ COLUMNS = {
 
 CAPTION = (
     "Root mean squares over all steps against noise-free truth. own error: of the recorded increments over their own "
-    "windows; method: exact increments, carried; added: recorded increments, carried, less their own error; after loss: "
-    "exact increments whose rate before is unknown; error / std: robust, of what was recorded (1: the standard "
+    "windows; method: exact increments, carried; added: recorded increments, carried, less their own error; after "
+    "loss: exact increments whose rate before is unknown; error / std: robust, of what was recorded (1: the standard "
     "deviation is honest)."
 )
 

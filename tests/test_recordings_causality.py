@@ -65,8 +65,7 @@ def test_a_camera_does_not_see_a_pose(scene, recorded):
     assert not {name for name in names if name.startswith("CAM_")} - own_truth
 
 
-def test_wheels_act_on_a_camera_through_the_distance_only(scene, recorded):
-    """Wheels that turn at other times but roll as far between the images would change nothing; faster ones do."""
+def test_wheels_are_the_scale_of_a_camera_and_move_no_clock(scene, recorded):
     wheels = scene.can_bus.wheel_speed_radps
     fast = replace(scene.can_bus, wheel_speed_radps=Signal(wheels.timestamp_us, 1.1 * wheels.value))
     names = changed(recorded, record_scene(replace(scene, can_bus=fast), EXPERTS)[0])
