@@ -73,6 +73,8 @@ class CarryAnew:
             done = carried_anew(recordings, two_frames)
             manifest = replace(done.manifest, data_version=f"{name}-{DATA_VERSION}", schema_version=SCHEMA_VERSION)
             manifest.parameters["schema_version"] = SCHEMA_VERSION
+            if version != SCHEMA_VERSION:
+                manifest.parameters["carried_anew_from"] = recordings.manifest.data_version
             save_recordings(with_planned_folds(done.replace(manifest)), self.out / name)
             logger.info("%s: %d scenes carried anew in %s", name, len(done), self.out / name)
 

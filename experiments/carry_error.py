@@ -2,13 +2,15 @@
 
 Three questions, against noise-free truth: how far does the method miss when it is fed with exact increments, how much
 error does it add to the increments that were recorded, and how far does it miss in the first step after a loss, where
-the current rate has to stand in for the one before. At every image and from key frame to key frame (2 Hz).
+the current rate has to stand in for the one before. At every image, and from key frame to key frame (2 Hz).
 
   python -m experiments.carry_error
 """
 
 from __future__ import annotations
 
+import logging
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
@@ -16,108 +18,106 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mixo_env.errors import RecordingError
-from mixo_env.recordings.carry import OwnWindows, carry, own_windows
+from mixo_env.errors import MixoError, RecordingError
+from mixo_env.recordings.carry import OwnWindows, carry, own_windows, scaled_to_step
 from mixo_env.recordings.collection import Recordings
+from mixo_env.recordings.store import load_recordings
 from mixo_env.recordings.truth import exact_own_window_increments
-from mixo_env.tables import Table
+from mixo_env.tables import Column, Table
+
+logger = logging.getLogger(__name__)
 
 FloatArray = NDArray[np.float64]
-Scene = dict[str, NDArray[Any]]
+
+COLUMNS = {
+    "tail": Column("tail", "ms", ".1f"),
+    "own": Column("own error", "deg", ".4f"),
+    "method": Column("method", "deg", ".4f"),
+    "added": Column("added", "deg", ".4f"),
+    "after loss": Column("after loss", "deg", ".4f"),
+    "method 2 Hz": Column("method 2 Hz", "deg", ".4f"),
+    "added 2 Hz": Column("added 2 Hz", "deg", ".4f"),
+    "error / std": Column("error / std", "", ".2f"),
+    "error / std 2 Hz": Column("error / std 2 Hz", "", ".2f"),
+}
+
+CAPTION = (
+    "Root mean squares over all steps against noise-free truth. own error: of the recorded increments over their own "
+    "windows; method: exact increments, carried; added: recorded increments, carried, less their own error; after "
+    "loss: exact increments whose rate before is unknown; error / std: robust, of what was recorded (1: the standard "
+    "deviation is honest)."
+)
 
 
 @dataclass(frozen=True)
-class CarryErrors:
-    """Root mean squares over all steps of all scenes of one camera.
+class CarryError:
+    """Print the error of carrying by camera."""
 
-    Attributes:
-        camera: name.
-        tail_s: median time from its image to the end of the round.
-        own_rad: error of its own increments over its own windows.
-        method_rad: carried exact increments against exact steps.
-        added_rad: error of carried recorded increments less that of the increments themselves.
-        after_loss_rad: as ``method_rad``, with the rate before each step unknown.
-        method_2hz_rad, added_2hz_rad: from key frame to key frame.
-        score: error of the carried recorded increments over the standard deviation told, robust (1: honest).
-        score_2hz: from key frame to key frame.
-    """
+    recordings: str = "mixocity"
+    """A bundled recording or a folder; it must hold noise-free truth."""
 
-    camera: str
-    tail_s: float
-    own_rad: float
-    method_rad: float
-    added_rad: float
-    after_loss_rad: float
-    method_2hz_rad: float
-    added_2hz_rad: float
-    score: float
-    score_2hz: float
+    def run(self) -> Table:
+        """Measure all cameras in the scenes of all folds (not at night)."""
+        recordings = load_recordings(self.recordings).select(split="all")
+        rows = [[camera, *carry_errors(recordings, camera).values()] for camera in recordings.manifest.cameras]
+        return Table(CAPTION, (Column("camera"), *COLUMNS.values()), rows)
 
 
-def carry_errors(recordings: Recordings, camera: str) -> CarryErrors:
-    """Errors of carrying one camera.
+def carry_errors(recordings: Recordings, camera: str) -> dict[str, float]:
+    """The numbers of COLUMNS for one camera.
 
     Raises:
         RecordingError: without noise-free truth.
     """
-    parts: dict[str, list[FloatArray]] = {}
+    parts: dict[str, list[FloatArray]] = {name: [] for name in COLUMNS}
     for i in range(len(recordings)):
         scene = recordings.rows(i)
         said = own_windows(scene, camera, camera)
         exact = replace(said, increment_rad=exact_own_window_increments(scene, camera))
-        parts.setdefault("tail_s", []).append(said.tail_s)
-        parts.setdefault("own_rad", []).append(said.increment_rad - exact.increment_rad)
-        for suffix, closing in (("", np.arange(len(said.tail_s))), ("_2hz", np.flatnonzero(scene["is_keyframe"]))):
-            for name, values in _errors(scene, said, exact, closing):
-                parts.setdefault(name + suffix, []).append(values)
-        parts.setdefault("after_loss_rad", []).append(_without_the_rate_before(exact) - _true(scene))
-    if not np.isfinite(np.concatenate(parts["method"])).any():
-        raise RecordingError("expected recordings with noise-free truth (a simulated folder), got none")
+        parts["tail"].append(said.tail_s)
+        parts["own"].append(said.increment_rad - exact.increment_rad)
+        every = np.arange(len(said.tail_s))
+        for suffix, closing in (("", every), (" 2 Hz", np.flatnonzero(scene["is_keyframe"]))):
+            true = np.diff(scene["exact.yaw_rad"][closing], prepend=np.nan)
+            for name, values in _errors(said, exact, closing, true):
+                parts[name + suffix].append(values)
+        # The rule after a loss is that of the stateless increments: the own increment scaled to the step.
+        alone = scaled_to_step(exact.increment_rad, exact.window_s, exact.tail_s)
+        parts["after loss"].append(alone - np.diff(scene["exact.yaw_rad"], prepend=np.nan))
     joined = {name: np.concatenate(values) for name, values in parts.items()}
-    return CarryErrors(
-        camera=camera,
-        tail_s=float(np.nanmedian(joined["tail_s"])),
-        own_rad=_rms(joined["own_rad"]),
-        method_rad=_rms(joined["method"]),
-        added_rad=_rms(joined["added"]),
-        after_loss_rad=_rms(joined["after_loss_rad"]),
-        method_2hz_rad=_rms(joined["method_2hz"]),
-        added_2hz_rad=_rms(joined["added_2hz"]),
-        score=1.4826 * float(np.nanmedian(np.abs(joined["score"]))),
-        score_2hz=1.4826 * float(np.nanmedian(np.abs(joined["score_2hz"]))),
-    )
+    if not np.isfinite(joined["method"]).any():
+        raise RecordingError("expected recordings with noise-free truth (a simulated folder), got none")
+    numbers = {"tail": 1e3 * float(np.nanmedian(joined.pop("tail")))}
+    for name, values in joined.items():
+        if "std" in name:
+            numbers[name] = 1.4826 * float(np.nanmedian(np.abs(values)))
+        else:
+            numbers[name] = float(np.degrees(np.sqrt(np.nanmean(np.square(values)))))
+    return {name: numbers[name] for name in COLUMNS}
 
 
 def _errors(
-    scene: Scene, said: OwnWindows, exact: OwnWindows, closing: NDArray[np.int64]
+    said: OwnWindows, exact: OwnWindows, closing: NDArray[np.int64], true: FloatArray
 ) -> Iterator[tuple[str, FloatArray]]:
     """Name -> ``(steps,)`` of the errors over the steps between the rows ``closing``."""
-    true = np.diff(scene["exact.yaw_rad"][closing], prepend=np.nan)
+    own_error = np.cumsum(np.nan_to_num(said.increment_rad - exact.increment_rad))[closing]
     carried, std = carry(said, closing)
-    total = np.concatenate([[0.0], np.cumsum(np.nan_to_num(said.increment_rad - exact.increment_rad))])[closing + 1]
     yield "method", carry(exact, closing)[0] - true
-    yield "added", carried - true - np.diff(total, prepend=np.nan)
-    yield "score", (carried - true) / std
+    yield "added", carried - true - np.diff(own_error, prepend=np.nan)
+    yield "error / std", np.divide(carried - true, std, out=np.full(len(std), np.nan), where=std > 0)
 
 
-def _true(scene: Scene) -> FloatArray:
-    return np.diff(scene["exact.yaw_rad"], prepend=np.nan)
+def main(arguments: list[Any] | None = None) -> int:
+    """Run the command line."""
+    import tyro
+
+    try:
+        print(tyro.cli(CarryError, args=arguments).run().text(), end="")
+    except MixoError as error:
+        logger.error("%s", error)
+        return 1
+    return 0
 
 
-def _without_the_rate_before(own: OwnWindows) -> FloatArray:
-    """Carried increments ``(rows,)`` as if the camera had been LOST in the round before each."""
-    carried = np.full(len(own.tail_s), np.nan)
-    for parity in (0, 1):
-        heard = np.arange(len(carried)) % 2 == parity
-        increment = np.where(heard, own.increment_rad, np.nan)
-        carried[heard] = carry(replace(own, increment_rad=increment))[0][heard]
-    return carried
-
-
-def _rms(values: FloatArray) -> float:
-    return float(np.sqrt(np.nanmean(np.square(values))))
-
-
-def table(errors: list[CarryErrors]) -> Table:
-    """The errors of all cameras, in degrees."""
-    raise NotImplementedError
+if __name__ == "__main__":
+    sys.exit(main())

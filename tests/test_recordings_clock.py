@@ -1,4 +1,4 @@
-"""Firing rounds and the carrying of increments to the closing times."""
+"""Firing rounds."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from mixo_env.errors import DatasetError
 from mixo_env.nuscenes.selections import ALL_CAMERAS, CAMERA_OFFSET_US, CAMERAS, LIDAR_PERIOD_US
-from mixo_env.recordings.clock import NONE, carry, firing_rounds
+from mixo_env.recordings.clock import NONE, firing_rounds
 
 START_US = 1_533_151_603_547_590
 
@@ -113,28 +113,3 @@ def test_real_stamps_of_the_front_camera(scene):
 def test_impossible_timing_is_one_clear_error(table, message):
     with pytest.raises(DatasetError, match=message):
         firing_rounds(table)
-
-
-@settings(max_examples=40, deadline=None)
-@given(rate=st.floats(-1.0, 1.0), seed=st.integers(0, 99))
-def test_carrying_is_exact_at_constant_yaw_rate(rate, seed):
-    rng = np.random.default_rng(seed)
-    drop = [(camera, int(k)) for camera in CAMERAS for k in rng.integers(1, 30, 3)]
-    rounds = firing_rounds(stamps(turns(30), drop=drop, jitter_us=500, seed=seed))
-    at_image = np.where(rounds.fired, rate * 1e-6 * (rounds.image_time_us - START_US), np.nan)
-    at_close = rate * 1e-6 * (rounds.closing_time_us - START_US)
-    own = np.full(at_image.shape, np.nan)
-    for j in range(len(CAMERAS)):
-        fired = np.flatnonzero(rounds.fired[:, j])
-        own[fired[1:], j] = np.diff(at_image[fired, j])
-    carried = carry(own, at_close[:, None] - at_image)
-    assert np.isnan(carried[0]).all()
-    both = rounds.fired[1:] & rounds.fired[:-1]
-    np.testing.assert_array_equal(np.isfinite(carried[1:]), both)
-    exact = np.broadcast_to(np.diff(at_close)[:, None], both.shape)
-    np.testing.assert_allclose(carried[1:][both], exact[both], rtol=0, atol=1e-12)
-
-
-def test_carrying_by_hand():
-    carried = carry([np.nan, 0.10, 0.20], tail_rad=[0.01, 0.03, 0.02])
-    np.testing.assert_allclose(carried, [np.nan, 0.10 + 0.03 - 0.01, 0.20 + 0.02 - 0.03])
