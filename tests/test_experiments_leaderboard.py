@@ -16,6 +16,7 @@ import pytest
 from mixo_env.leaderboard import exports, report
 from mixo_env.leaderboard.board import Leaderboard, build
 from mixo_env.leaderboard.figures import draw_trajectories
+from mixo_env.leaderboard.sentences import mean_std_text
 from mixo_env.metrics.tracks import LostTracks
 from mixo_env.recordings.collection import Recordings
 from tests.synthetic import synthetic_recordings
@@ -93,8 +94,8 @@ def test_lost_tracks_are_spread_over_the_tested_scenes() -> None:
     tested = np.array([True, True, False, True])
     row = SimpleNamespace(run=SimpleNamespace(tested=tested))
     lost = LostTracks(np.array([0, 2, 9, 1]), *[np.zeros(4, np.int64)] * 2, 3.0, 3.5)
-    assert report._mean_std_text(row, lost) == "1.00 ± 0.82"  # sqrt(2 / 3): three scenes, divided by three
-    assert report._mean_std_text(row, None) == "-"
+    assert mean_std_text(row, lost) == "1.00 ± 0.82"  # sqrt(2 / 3): three scenes, divided by three
+    assert mean_std_text(row, None) == "-"
 
 
 def test_scene_lines_average_to_the_table(board: Leaderboard) -> None:
