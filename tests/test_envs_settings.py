@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import pickle
+import tracemalloc
 from dataclasses import fields
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
@@ -191,6 +192,17 @@ def test_a_folder_is_read_once_and_its_tables_are_shared(folder: Path, monkeypat
     assert np.shares_memory(envs[0].session.replay.context, first.session.replay.context)
     assert envs[0].session.replay.state is not first.session.replay.state
     assert evaluation.session.replay.context.shape != first.session.replay.context.shape
+
+
+def test_sixty_four_environments_take_hardly_more_memory_than_one() -> None:
+    first = make(recordings=None)
+    tracemalloc.start()
+    before = tracemalloc.get_traced_memory()[0]
+    envs = [make(recordings=None) for _ in range(63)]
+    grown = tracemalloc.get_traced_memory()[0] - before
+    tracemalloc.stop()
+    assert len({id(env.session.replay.state) for env in (first, *envs)}) == 64
+    assert grown < 4 * 2**20
 
 
 def test_environments_that_share_tables_play_their_own_scenes(folder: Path) -> None:
