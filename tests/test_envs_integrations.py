@@ -69,7 +69,7 @@ def test_stable_baselines3(env_id: str) -> None:
 def test_sb3_adapter_tells_the_same_story_as_the_batched_environment() -> None:
     from mixo_env.envs.sb3 import MixoVecEnv
 
-    env = MixoVecEnv("MixoOdometry-v0", 3, recordings=RECORDINGS, step_infos=True, render_mode="ansi")
+    env = MixoVecEnv("mixo_env:MixoOdometry-v0", 3, recordings=RECORDINGS, step_infos=True, render_mode="ansi")
     peer = gym.make_vec("MixoOdometry-v0", 3, recordings=RECORDINGS, autoreset_mode="SAME_STEP")
     env.seed(5)
     np.testing.assert_array_equal(env.reset(), peer.reset(seed=5)[0])

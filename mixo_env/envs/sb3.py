@@ -42,7 +42,7 @@ class MixoVecEnv(VecEnv):
         """Make the environments.
 
         Args:
-            env_id: a registered id of this package.
+            env_id: a registered id of this package, with or without the prefix ``mixo_env:``.
             num_envs: how many.
             transform: of the observations, see :mod:`mixo_env.envs.wrappers`.
             step_infos: fill in every step's ``infos`` too, which costs time.
@@ -50,6 +50,7 @@ class MixoVecEnv(VecEnv):
         """
         if "autoreset_mode" in options:
             raise ConfigurationError("autoreset_mode: Stable-Baselines3 resets in the same step, leave it out")
+        env_id = env_id.removeprefix("mixo_env:")
         if env_id not in ENVIRONMENTS:
             raise ConfigurationError(unknown("environment of this package", env_id, ENVIRONMENTS))
         env = gym.make_vec(env_id, num_envs, autoreset_mode=AutoresetMode.SAME_STEP, **options)
