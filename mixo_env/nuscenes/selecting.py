@@ -56,9 +56,7 @@ def select(dataset: Dataset, selection: str) -> tuple[str, ...]:
         return _paper(dataset)
     splits = _splits(dataset)
     if selection not in splits:
-        hint = (
-            "" if splits else "; official splits need splits.json beside the tables, or nuscenes-devkit installed"
-        )
+        hint = "" if splits else "; official splits need splits.json beside the tables, or nuscenes-devkit installed"
         raise ConfigurationError(unknown("selection", selection, (*SELECTIONS, *splits)) + hint)
     return tuple(sorted(set(splits[selection]) & set(dataset.scene_names)))
 
