@@ -147,9 +147,10 @@ def can_bus_of(messages: Messages) -> CanBus | None:
 
 def scenes_with_can_bus(folder: Path) -> frozenset[str]:
     """Names of the scenes that have at least one message file in ``folder``."""
-    if not folder.is_dir():
+    try:
+        names = [path.name for path in folder.iterdir()]
+    except OSError:  # not there, no folder, or closed to this user: said when a scene is read
         return frozenset()
-    names = [path.name for path in folder.iterdir()]
     suffixes = [f"_{message}.json" for message in MESSAGES]
     return frozenset(name.removesuffix(suffix) for name in names for suffix in suffixes if name.endswith(suffix))
 

@@ -21,7 +21,7 @@ from mixo_env.errors import ConfigurationError, DatasetError, unknown
 from mixo_env.geometry import rotation_from_quaternion_wxyz
 from mixo_env.nuscenes.cache import cached_index
 from mixo_env.nuscenes.can_bus import read_can_bus, scenes_with_can_bus
-from mixo_env.nuscenes.files import open_file
+from mixo_env.nuscenes.files import LARGEST_FILE_BYTES, open_file
 from mixo_env.nuscenes.index import CalibrationRecord, ImageIndex
 from mixo_env.nuscenes.limits import LONGEST_SCENE_S
 from mixo_env.nuscenes.scene import CameraCalibration, CameraTrack, ExactPoses, Scene
@@ -292,13 +292,22 @@ def _read_exact(path: Path) -> ExactPoses | None:
     """Noise-free truth beside a simulated scene; ``None`` for real data."""
     try:
         with open_file(path) as file, np.load(file, allow_pickle=False) as archive:
-            return ExactPoses(
+            # An archive of a few kilobytes can unpack to any size.
+            if sum(entry.file_size for entry in archive.zip.infolist()) > LARGEST_FILE_BYTES:
+                raise ValueError(f"it unpacks to more than {LARGEST_FILE_BYTES // 2**20} MB")
+            exact = ExactPoses(
                 timestamp_us=archive["timestamp_us"].astype(np.int64, casting="safe"),
                 x_m=archive["x_m"].astype(np.float64),
                 y_m=archive["y_m"].astype(np.float64),
                 yaw_rad=archive["yaw_rad"].astype(np.float64),
             )
+        columns = (exact.timestamp_us, exact.x_m, exact.y_m, exact.yaw_rad)
+        if len({column.shape for column in columns}) > 1 or exact.timestamp_us.ndim != 1 or not len(exact.x_m):
+            raise ValueError("its columns are not of one length")
+        if np.any(np.diff(exact.timestamp_us) <= 0) or not all(np.isfinite(column).all() for column in columns):
+            raise ValueError("its times do not increase, or a value is not finite")
     except FileNotFoundError:
         return None
-    except (OSError, ValueError, TypeError, KeyError, EOFError, zipfile.BadZipFile) as error:
+    except (OSError, ValueError, TypeError, KeyError, AttributeError, EOFError, zipfile.BadZipFile) as error:
         raise DatasetError(f"{path} is not a file of exact poses ({error}): simulate the scene again") from error
+    return exact

@@ -53,6 +53,7 @@ def image_gaps(evidence: Evidence) -> Iterator[Finding]:
             )
         interval_us = np.diff(track.timestamp_us)
         if not len(interval_us):
+            yield Finding("image-gap", f"{camera}: one image only; a scene has about 12 a second")
             continue
         if interval_us.max() > 1e6 * LONGEST_IMAGE_GAP_S:
             yield Finding(
