@@ -16,8 +16,8 @@ POINTS = 5
 class Curve:
     """Values of every scene at any time: cubic between rows, with the slopes of a polynomial through five of them.
 
-    The slope's error falls with the fourth power of the spacing, which matters between key frames: three points are
-    off by 1.7 deg/s in a real bend there. Outside the rows the rate of the first or last step goes on.
+    The slope's error falls with the fourth power of the spacing, which matters between key frames. Outside the rows the
+    rate of the first or last step goes on.
     """
 
     def __init__(self, recordings: Recordings, values: NDArray[np.inexact]) -> None:

@@ -93,8 +93,8 @@ def fit_pose_lag(recordings: Recordings, sources: Sequence[Turns] | None = None)
     That is argmin over lag of the sum of huber([psi(t_e + lag) - psi(t_b + lag) - turn] / sigma_source) with psi the
     curve through the written yaw, (t_b, t_e] each source's own windows and sigma 1.4826 x the median absolute residual
     of a source. The curve is moved as a whole; a regression of the residual on the change of the
-    poses' own rate finds 1 to 4 ms less, because the noise of that rate attenuates it and because it stops after the
-    first power of the lag.
+    poses' own rate finds some 4 ms less: the noise of that rate attenuates the coefficient, and differences over two
+    steps flatten it (docs/decisions.md has figures).
 
     The standard error takes blocks of 2 s as independent (errors of a localisation wander) and as information only
     the changes of rate on which poses and sources agree: noise of the poses says nothing about their lag.
