@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mixo_env.errors import RecordingError, unknown
+from mixo_env.errors import RecordingError, printable, unknown
 from mixo_env.files import atomic_path, write_bytes
 from mixo_env.recordings.collection import Column, Recordings
 from mixo_env.recordings.folder import claimed, writing
@@ -85,7 +85,8 @@ def read_columns(data: bytes) -> tuple[dict[str, Column], list[int], dict[str, s
         metadata = {key.decode(): value.decode() for key, value in (table.schema.metadata or {}).items()}
         columns = {name: np.array(table.column(name).to_numpy()) for name in table.column_names}
     except Exception as error:  # the reader raises almost anything, depending on which byte is wrong
-        raise RecordingError(f"truncated or damaged ({str(error).splitlines()[0]})") from None
+        why = printable(" ".join(str(error).split())[:200])
+        raise RecordingError(f"truncated or damaged ({why})") from None
     return columns, rows, metadata
 
 
