@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
@@ -55,8 +56,7 @@ class Benchmark:
 
     def run(self) -> int:
         """Print the leaderboard and write it, with figure, per-scene results and configuration."""
-        from rich.console import Console
-
+        from mixo_env.cli.progress import progress
         from mixo_env.cli.results import point_latest, run_folder
         from mixo_env.files import write_json, write_text
         from mixo_env.leaderboard.board import build, requested
@@ -67,11 +67,13 @@ class Benchmark:
         from mixo_env.recordings.store import load_recordings
 
         recordings = load_recordings(None if self.recordings is None else str(self.recordings))
-        requested(recordings, self.tracks, self.policies)
+        rows = requested(recordings, self.tracks, self.policies)
         for by in self.by:
             check_grouping(recordings, by)
         folder = run_folder("benchmark", self.out)
-        with Console(stderr=True).status("") as status:
+        tables = len(self.tracks) * len({scene.fold < 0 for scene in recordings.scenes})  # the night has its own
+        begun = itertools.count()
+        with progress("computing rows") as report:
             board = build(
                 recordings,
                 tracks=self.tracks,
@@ -79,7 +81,7 @@ class Benchmark:
                 seed=self.seed,
                 seeds=self.seeds,
                 ground_truth=self.ground_truth,
-                progress=status.update,
+                progress=lambda _: report(next(begun), tables * len(rows)),
             )
         write_json(folder / "configuration.json", self._resolved(board, recordings))
         write_text(folder / "leaderboard.md", to_markdown(board, sort=self.sort, by=self.by))
