@@ -16,6 +16,7 @@ ROWS = (
     "MULTICAMERA GT",
     "ORACLE ALL",
     "ORACLE HULL",
+    "NOISE FLOOR",
     "PERFECT YAW",
     "PERFECT YAW + TRUE DISTANCE",
 )
