@@ -6,7 +6,7 @@ import json
 import os
 import pickle
 import tracemalloc
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin
 
@@ -25,6 +25,7 @@ from mixo_env.envs.faults import Fault, FaultKind
 from mixo_env.envs.options import hints
 from mixo_env.envs.replay import Replay
 from mixo_env.errors import ConfigurationError, UnknownOption
+from mixo_env.recordings.manifest import decode_manifest, encode_manifest
 from mixo_env.recordings.schema import SPLITS, TRACKS
 from mixo_env.recordings.store import save_recordings
 from tests.synthetic import synthetic_recordings
@@ -224,7 +225,8 @@ def test_a_folder_that_changes_is_read_again(folder: Path) -> None:
     after = make(recordings=folder).session.recordings
     assert (after["speed_mps"][:20] != before["speed_mps"][:20]).any()
     manifest = folder / "manifest.json"
-    manifest.write_text(json.dumps(json.loads(manifest.read_text()) | {"data_version": "synthetic-1"}))
+    renamed = replace(decode_manifest(manifest.read_bytes()), data_version="synthetic-1")
+    manifest.write_bytes(encode_manifest(renamed))
     os.utime(manifest, (1, 1))
     assert make(recordings=folder).session.recordings.manifest.data_version == "synthetic-1"
 
