@@ -1,0 +1,184 @@
+"""One hash per picture over a fixed set of pictures, and whether another checkout draws the same ones as fast.
+
+A change that should only make the renderer easier to read, or faster, must not move a bit of any picture. The numbers
+differ from machine to machine, so none are kept: both checkouts render here, in two processes that take turns picture
+by picture, so that a machine that slows down for a while slows both. The other one needs this file as well.
+
+    python -m experiments.speed.pictures_hash
+    python -m experiments.speed.pictures_hash --other ../before
+"""
+
+from __future__ import annotations
+
+import hashlib
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import cache, partial
+from pathlib import Path
+
+import cv2
+import numpy as np
+import tyro
+from numpy.typing import NDArray
+
+from experiments.speed.rendering import TOUR, camera_pose, traffic
+from mixo_env.nuscenes.selections import ALL_CAMERAS
+from mixo_env.simulator.render import CameraPose, Renderer
+from mixo_env.simulator.rig import nominal_calibration
+from mixo_env.simulator.vehicles import VehicleState
+from mixo_env.simulator.world import build_world
+
+LARGE = (800, 450)
+SIZES = ((400, 225), (333, 187), LARGE)
+"""Widths and heights: even and odd numbers of pixels, and the size at which time counts."""
+
+TURN_RAD = 0.004
+"""Yaw during the exposure, so that pictures are smeared over several pixels."""
+
+WEATHERS = ("day", "rain", "night")
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What to compare.
+
+    Attributes:
+        other: root of another checkout; only hashes of this one are printed if left out.
+        repeats: times that each large picture is rendered by each of the two.
+        serve: render the pictures whose numbers arrive on standard input (how the two processes are run).
+    """
+
+    other: Path | None = None
+    repeats: int = 25
+    serve: bool = False
+
+
+@dataclass(frozen=True)
+class View:
+    """One picture of the set."""
+
+    weather: str
+    channel: str
+    size: tuple[int, int]
+    stop: tuple[float, float, float]
+
+    def __str__(self) -> str:
+        return f"{self.weather:5s} {self.channel:15s} {self.size[0]}x{self.size[1]}"
+
+
+def views() -> list[View]:
+    """Every camera in every weather in every size, each from another place of the tour."""
+    return [
+        View(weather, channel, size, TOUR[(number + place) % len(TOUR)])
+        for place, size in enumerate(SIZES)
+        for weather in WEATHERS
+        for number, channel in enumerate(ALL_CAMERAS)
+    ]
+
+
+@cache
+def renderer(weather: str) -> Renderer:
+    """Of a small city with many parked cars."""
+    return Renderer(_city(), weather)
+
+
+_city = cache(partial(build_world, 3, half_blocks=2, variety=6, ground_side=1024, parked=0.8))
+
+
+def picture(view: View) -> tuple[NDArray[np.uint8], float]:
+    """The picture and the CPU time that it took, in milliseconds."""
+    draw = renderer(view.weather)
+    calibration = nominal_calibration(view.channel, *view.size)
+    x, y, yaw = view.stop
+    start = camera_pose(calibration, x, y, yaw, -0.03)
+    end: CameraPose = camera_pose(calibration, x, y, yaw + TURN_RAD, 0.03)
+    turning = VehicleState("sedan", 2, x + 9.0 * np.cos(yaw), y + 9.0 * np.sin(yaw), yaw + 0.4, 6.0, 0.5)
+    began = time.thread_time()
+    shown = draw.render(calibration, start, end, [*traffic(x, y, yaw), turning], noise_seed=5)
+    took = time.thread_time() - began
+    return shown.image, 1e3 * took
+
+
+def serve() -> None:
+    """Answer each number on standard input with the hash and the milliseconds of that picture."""
+    cv2.setNumThreads(1)
+    every = views()
+    for line in sys.stdin:
+        image, took = picture(every[int(line)])
+        print(hashlib.blake2b(image.tobytes(), digest_size=8).hexdigest(), took, flush=True)
+
+
+@contextmanager
+def server(root: Path) -> Iterator[subprocess.Popen[str]]:
+    """A process that renders with the package of the checkout ``root``."""
+    command = [sys.executable, "-m", "experiments.speed.pictures_hash", "--serve"]
+    with subprocess.Popen(command, cwd=root, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+        yield process
+        assert process.stdin is not None
+        process.stdin.close()
+
+
+def ask(process: subprocess.Popen[str], number: int) -> tuple[str, float]:
+    """Hash and milliseconds of a picture."""
+    assert process.stdin is not None
+    assert process.stdout is not None
+    print(number, file=process.stdin, flush=True)
+    digest, took = process.stdout.readline().split()
+    return digest, float(took)
+
+
+def ratio_of_medians(before: NDArray[np.float64], after: NDArray[np.float64]) -> tuple[float, float, float]:
+    """Median over the repeats, summed over the pictures, before / after; with its 95 % interval by resampling.
+
+    Args:
+        before: ``(repeats, pictures)`` milliseconds.
+        after: the same.
+    """
+
+    def ratio(chosen: NDArray[np.int64]) -> float:
+        return float(np.median(before[chosen], axis=0).sum() / np.median(after[chosen], axis=0).sum())
+
+    rng = np.random.default_rng(0)
+    count = len(before)
+    low, high = np.quantile([ratio(rng.integers(0, count, count)) for _ in range(2000)], (0.025, 0.975))
+    return ratio(np.arange(count)), float(low), float(high)
+
+
+def main(options: Comparison) -> None:
+    """Print a hash per picture, or which pictures differ and how the times compare."""
+    if options.serve:
+        return serve()
+    every = views()
+    here = Path(__file__).parents[2]
+    if options.other is None:
+        with server(here) as ours:
+            for number, view in enumerate(every):
+                print(ask(ours, number)[0], view)
+        return None
+    with server(options.other) as theirs, server(here) as ours:
+        different = [view for number, view in enumerate(every) if ask(theirs, number)[0] != ask(ours, number)[0]]
+        print(f"{len(different)} of {len(every)} pictures differ", *different, sep="\n  ")
+        large = [number for number, view in enumerate(every) if view.size == LARGE]
+        times = np.empty((2, options.repeats, len(large)))
+        for repeat in range(options.repeats):
+            for place, number in enumerate(large):
+                # Who comes second finds warmer shared caches: take turns in that as well.
+                for which in ((0, 1), (1, 0))[repeat % 2]:
+                    times[which, repeat, place] = ask((theirs, ours)[which], number)[1]
+    for weather in (*WEATHERS, ""):
+        chosen = [place for place, number in enumerate(large) if weather in ("", every[number].weather)]
+        value, low, high = ratio_of_medians(times[0][:, chosen], times[1][:, chosen])
+        before, after = (float(np.median(part[:, chosen], axis=0).mean()) for part in times)
+        name = weather or "all"
+        print(
+            f"{name:5s} {before:6.2f} -> {after:6.2f} ms a picture   before / after {value:.3f} [{low:.3f}, {high:.3f}]"
+        )
+    return None
+
+
+if __name__ == "__main__":
+    main(tyro.cli(Comparison, description=__doc__))
