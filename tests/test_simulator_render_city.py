@@ -56,7 +56,7 @@ def on_the_street(fleet: Fleet, vehicles: Sequence[VehicleState]) -> PatchSet:
 
 def arrays(world: World) -> dict[str, NDArray]:
     fields = {name: value for name, value in vars(world).items() if isinstance(value, np.ndarray)}
-    return fields | {f"static.{name}": value for name, value in vars(world.static).items()}
+    return fields | {f"static.{name}": value for name, value in world.static._asdict().items()}
 
 
 def test_same_seed_same_bits_other_seed_other_city(city: World) -> None:

@@ -6,10 +6,11 @@ import numpy as np
 
 from mixo_env.compiled import compiled_unchecked
 from mixo_env.simulator.fleet import body_motions
+from mixo_env.simulator.views import Float64s
 
 
 @compiled_unchecked
-def _product(first, second):
+def _product(first: Float64s, second: Float64s) -> Float64s:
     """Matrix product, without the linear-algebra library that Numba's own one needs."""
     out = np.zeros((3, 3))
     for i in range(3):
@@ -20,7 +21,9 @@ def _product(first, second):
 
 
 @compiled_unchecked
-def during_exposure(start, start_m, end, end_m, states, half_s):
+def during_exposure(
+    start: Float64s, start_m: Float64s, end: Float64s, end_m: Float64s, states: Float64s, half_s: float
+) -> tuple[Float64s, Float64s, Float64s]:
     """The camera at the middle of the exposure, and how everything moves before it in the second half.
 
     Args:
@@ -35,6 +38,7 @@ def during_exposure(start, start_m, end, end_m, states, half_s):
         Camera from map ``(3, 3)``, position ``(3,)``, and ``(1 + vehicles, 12)`` rigid motions in camera coordinates,
         rotations by rows and translations.
     """
+    # The camera turns evenly: half the angle about the axis of the whole turn (Rodrigues).
     turn = _product(start.T, end)
     axis = 0.5 * np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
     sine = np.sqrt(np.sum(axis * axis))
@@ -49,6 +53,7 @@ def during_exposure(start, start_m, end, end_m, states, half_s):
         ]
     )
     middle, position = _product(start, half), 0.5 * (start_m + end_m)
+    # Camera at the middle -> map, the body's own motion, map -> camera at the end.
     turns, shifts = body_motions(states, half_s)
     motions = np.empty((len(turns), 12))
     for n in range(len(turns)):

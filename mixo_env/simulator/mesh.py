@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -167,9 +167,10 @@ def normals(mesh: Mesh) -> NDArray[np.float64]:
     return normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
 
 
-@dataclass(frozen=True)
-class PatchSet:
+class PatchSet(NamedTuple):
     """A mesh in the form that the renderer reads: plain contiguous arrays and groups that are culled together.
+
+    Columns of ``look`` and ``tag`` have names in :mod:`mixo_env.simulator.views`.
 
     Attributes:
         geometry: ``(n, 9)`` origin, edge_u, edge_v in metres, map frame.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,11 +19,13 @@ from mixo_env.simulator.mirror import mirror_road
 from mixo_env.simulator.rain import add_spray, spray_puffs
 from mixo_env.simulator.rasterizer import DepthBuffers
 from mixo_env.simulator.sampling import even_cells
-from mixo_env.simulator.sensor import NOISE_SIDE, expose, mean_radiance
+from mixo_env.simulator.sensor import NOISE_SIDE, Sensor, expose, mean_radiance
 from mixo_env.simulator.shading import shade
 from mixo_env.simulator.shadows import EXTENT_M
+from mixo_env.simulator.spans import Canvas, Shot
 from mixo_env.simulator.textures import quads
 from mixo_env.simulator.vehicles import VehicleState
+from mixo_env.simulator.views import LIGHT, Daylight, Lamps, Textures, View
 from mixo_env.simulator.weather import Weather, weather_named
 from mixo_env.simulator.world import World
 
@@ -35,8 +38,9 @@ RADIANCE_UNIT = 32768.0
 GLARE = 0.12
 """Share of the light above white that lens and air scatter at night."""
 
-_WIDEST_PX = 1600
-_OFFSET_STEP = 2**32 // NOISE_SIDE
+_WIDEST_PX = 1600  # the table of noise is as wide as such a row of pixels needs
+_OFFSET_STEP = 2**32 // NOISE_SIDE  # of 32 random bits, the highest ten
+_VIGNETTE = 0.22  # cos^4 of the angle to the optical axis, whose squared tangent this is at the edge
 
 
 @dataclass(frozen=True)
@@ -65,8 +69,20 @@ class RenderedImage:
     gain: float
 
 
-_Memory = tuple[DepthBuffers, NDArray[np.int64], NDArray[np.int64], NDArray[np.float32], NDArray[np.float32]]
-"""Depth buffers, radiance, mirror images, motion and vignette of one picture size."""
+class _Memory(NamedTuple):
+    """Working arrays for one picture size.
+
+    Attributes:
+        buffers: what is seen.
+        canvas: what is shaded.
+        images: of the wet road.
+        sensor: with its vignette.
+    """
+
+    buffers: DepthBuffers
+    canvas: Canvas
+    images: NDArray[np.int64]
+    sensor: Sensor
 
 
 class Renderer:
@@ -87,25 +103,20 @@ class Renderer:
         columns = 3 * _WIDEST_PX + NOISE_SIDE
         self._noise = np.random.default_rng(20).standard_normal((NOISE_SIDE, columns), np.float32)
         self._fleet = Fleet(world, shadows=self.weather.sun > 0.0)
-        self._daylight = world.sunlight, even_cells(world.sunlight), world.shadow_height
-        grain = world.detail, world.detail_start
-        sky, ground = quads(world.sky).ravel(), world.ground_texels_per_m
-        self._textures = world.texels, world.table, *grain, sky, ground, self.weather.grain_levels
-        self._no_lamps = np.zeros((1, 1), np.float32), np.zeros(2), np.zeros(8)
-        w, unit = self.weather, RADIANCE_UNIT
-        self._light = np.array(
-            [
-                unit * w.ambient,
-                unit * w.sun,
-                w.haze_per_m,
-                *(unit * np.array((*w.haze, *w.zenith))),
-                w.clouds,
-                unit * w.lamps,
-                w.wetness,
-                *w.colour,
-            ]
+        self._daylight = Daylight(world.sunlight, even_cells(world.sunlight), world.shadow_height)
+        self._textures = Textures(
+            world.texels,
+            world.table,
+            world.detail,
+            world.detail_start,
+            quads(world.sky).ravel(),
+            float(world.ground_texels_per_m),
+            self.weather.grain_levels,
         )
-        self._air = sum(int(unit * part) << 21 * place for place, part in enumerate(w.haze))
+        self._no_lamps = Lamps(np.zeros((1, 1), np.float32), np.zeros(2), np.zeros(8))
+        self._light = _light(self.weather)
+        # Radiance of the air as one packed word: what spray looks like.
+        self._air = sum(int(RADIANCE_UNIT * part) << 21 * place for place, part in enumerate(self.weather.haze))
 
     def render(
         self,
@@ -127,11 +138,10 @@ class Renderer:
             gain: from the previous picture of this camera, ``None`` for the first (exposed for itself).
             noise_seed: seed of the sensor noise; different for every picture.
         """
-        world, height, width = self.world, calibration.height, calibration.width
-        lens = calibration.intrinsic.take((0, 4, 2, 5))
-        sight = self.weather.sight_m
+        world, weather = self.world, self.weather
+        memory = self._memory(calibration.height, calibration.width)
         x_m, y_m = (0.5 * (start.position_m.item(i) + end.position_m.item(i)) for i in range(2))
-        near = [v for v in vehicles if math.hypot(v.x_m - x_m, v.y_m - y_m) < sight]
+        near = [v for v in vehicles if math.hypot(v.x_m - x_m, v.y_m - y_m) < weather.sight_m]
         states, models = moving_states(near), self._fleet.models(near)
         rotation, position, motion = during_exposure(
             start.rotation_map_from_camera,
@@ -139,42 +149,44 @@ class Renderer:
             end.rotation_map_from_camera,
             end.position_m,
             states,
-            0.5 * self.weather.shutter_s,
+            0.5 * weather.shutter_s,
         )
-        image = np.empty((height, width, 3), np.uint8)
-        offset = np.random.PCG64(noise_seed).random_raw(height).view(np.uint32).reshape(height, 2) // _OFFSET_STEP
-        buffers, radiance, images, flow, vignette = self._memory(height, width)
-        patches = (self._fleet.placed(models, states), world.static)
-        buffers.draw_patches(patches, rotation, position, lens, sight, world.texels, world.table)
-        lamps = self._no_lamps
-        if self.weather.lamps > self.weather.ambient:
-            to_ego = np.column_stack([calibration.rotation_ego_from_camera, calibration.translation_m])
-            lamps = *light_window(world.lamp_light, EXTENT_M, position, near), to_ego[:2].ravel()
-        shade(
-            (buffers.owner, buffers.plane, buffers.style, buffers.mark, buffers.depth),
-            (rotation, position, lens, sight),
-            self._light,
-            self._textures,
-            self._daylight,
-            lamps,
-            motion,
-            radiance,
-            flow,
-        )
-        if self.weather.wetness > 0.0:
-            wetness = self.weather.wetness
-            seen = buffers.owner, buffers.depth, buffers.plane, buffers.mark
-            mirror_road(radiance, *seen, rotation, position, lens, world.sky, wetness, images)
-            puffs = spray_puffs(states, self._fleet.size_m[models], rotation, position, wetness)
-            add_spray(radiance, buffers.depth, puffs, lens, world.sky, self._air)
+        # What is seen, in which light and how it moves.
+        fx, fy, cx, cy = calibration.intrinsic.take((0, 4, 2, 5)).tolist()
+        view = View(rotation, position, fx, fy, cx, cy, float(weather.sight_m))
+        memory.buffers.draw_patches((self._fleet.placed(models, states), world.static), view, self._textures)
+        seen, radiance = memory.buffers.seen, memory.canvas.radiance
+        lamps = self._lamps(calibration, position, near)
+        shade(Shot(seen, view, self._light, self._textures, self._daylight, lamps, motion), memory.canvas)
+        # Rain.
+        if weather.wetness > 0.0:
+            mirror_road(radiance, seen, view, world.sky, weather.wetness, memory.images)
+            puffs = spray_puffs(states, self._fleet.size_m[models], view, weather.wetness)
+            add_spray(radiance, seen.depth, puffs, view, world.sky, self._air)
+        # Exposure control, glare and the sensor.
         mean = mean_radiance(radiance) / RADIANCE_UNIT
-        wanted = min(self.weather.exposure_target / max(mean, 1e-6), self.weather.largest_gain)
+        wanted = min(weather.exposure_target / max(mean, 1e-6), weather.largest_gain)
         used = wanted if gain is None else gain
-        if self.weather.lamps > self.weather.ambient:
+        if self._is_dark:
             add_glare(radiance, RADIANCE_UNIT / used, GLARE)
-        shot, read = self.weather.shot_noise, self.weather.read_noise
-        expose(radiance, flow, vignette, self._noise, offset, used / RADIANCE_UNIT, shot, read, image)
+        image = np.empty((calibration.height, calibration.width, 3), np.uint8)
+        offset = _noise_offsets(noise_seed, calibration.height)
+        expose(radiance, memory.canvas.flow, offset, used / RADIANCE_UNIT, memory.sensor, image)
         return RenderedImage(image, used + EXPOSURE_LAG * (wanted - used))
+
+    @property
+    def _is_dark(self) -> bool:
+        """Whether lamps light anything."""
+        return self.weather.lamps > self.weather.ambient
+
+    def _lamps(
+        self, calibration: CameraCalibration, position_m: NDArray[np.float64], near: Sequence[VehicleState]
+    ) -> Lamps:
+        """Street lamps and head lights around the camera, those of its own car as well."""
+        if not self._is_dark:
+            return self._no_lamps
+        to_ego = np.column_stack([calibration.rotation_ego_from_camera, calibration.translation_m])
+        return Lamps(*light_window(self.world.lamp_light, EXTENT_M, position_m, near), to_ego[:2].ravel())
 
     def _memory(self, height: int, width: int) -> _Memory:
         """Working arrays for one picture size, made once."""
@@ -192,7 +204,24 @@ class Renderer:
             radiance = block[: 2 * size].view(np.int64).reshape(height, width)
             planes = block[2 * size : 7 * size].reshape(5, height, width)
             images = block[7 * size + size % 2 :].view(np.int64)
-            planes[4] = (1.0 + 0.22 * squared) ** -2
-            buffers = DepthBuffers(planes[2], planes[3].view(np.int32))
-            self._sizes[height, width] = buffers, radiance, images, planes[:2], planes[4]
+            planes[4] = (1.0 + _VIGNETTE * squared) ** -2
+            self._sizes[height, width] = _Memory(
+                DepthBuffers(planes[2], planes[3].view(np.int32)),
+                Canvas(radiance, planes[:2]),
+                images,
+                Sensor(planes[4], self._noise, float(self.weather.shot_noise), float(self.weather.read_noise)),
+            )
         return self._sizes[height, width]
+
+
+def _light(weather: Weather) -> NDArray[np.void]:
+    """Light and air as the loops read them, in integer radiance."""
+    w, unit = weather, RADIANCE_UNIT
+    haze, zenith = ((unit * part for part in colour) for colour in (w.haze, w.zenith))
+    values = (unit * w.ambient, unit * w.sun, w.haze_per_m, *haze, *zenith, w.clouds, unit * w.lamps, w.wetness)
+    return np.array([(*values, *w.colour)], LIGHT)
+
+
+def _noise_offsets(seed: int, height: int) -> NDArray[np.uint32]:
+    """Row and first column of the table of noise for each row of a picture, ``(height, 2)``."""
+    return np.random.PCG64(seed).random_raw(height).view(np.uint32).reshape(height, 2) // _OFFSET_STEP

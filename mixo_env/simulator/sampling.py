@@ -5,6 +5,8 @@ Texel coordinates are whole numbers in units of 1/65536 texel where a loop steps
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import cv2
 import numpy as np
 from numba import float32, int32, uint32
@@ -12,39 +14,69 @@ from numpy.typing import NDArray
 
 from mixo_env.compiled import inlined
 from mixo_env.simulator.shadows import EXTENT_M, FIELD_TEXELS_PER_M, PICTURE_TEXELS_PER_M
+from mixo_env.simulator.views import Float32s, Int32s, Lamps, Point, UInt8s, UInt32s
 
 CELL_SHIFT = 3
-"""``even_cells`` looks at squares of 2^CELL_SHIFT texels."""
+"""``even_cells`` looks at squares of 2^CELL_SHIFT texels: two metres, small beside the shadow of a house."""
 
 HALF_EXTENT_M = 0.5 * EXTENT_M
-PICTURE_MASK = int(EXTENT_M * PICTURE_TEXELS_PER_M) - 1
+PICTURE_MASK = int(EXTENT_M * PICTURE_TEXELS_PER_M) - 1  # sides are powers of two: what lies outside repeats the map
 
 _FIELD_MASK = int(EXTENT_M * FIELD_TEXELS_PER_M) - 1
-_U8, _U16 = np.uint32(8), np.uint32(16)
-_LOW, _PAIR = np.uint32(0xFFFF), np.uint32(0x00FF00FF)
+_U8, _U16 = np.uint32(8), np.uint32(16)  # typed, or Numba would widen every shift to 64 bits
+_LOW, _PAIR = np.uint32(0xFFFF), np.uint32(0x00FF00FF)  # one half of a word; every second byte of it
+
+_SOFT = 2.0  # per metre: the edge of a house's shadow is half a metre wide
+_WALL_SHARE = 0.65  # of the light on the ground that an upright surface gets from a lamp above
+_FLOOR_UP = 0.7  # upward part of the normal from which a surface counts as ground
+_LAMP_SHARE = 0.6  # street lamps against head lights, by eye
+_BEAM_START_M = 3.7  # head lights sit that far ahead of the ego frame, the rear axle
+_BEAM_SHORTEST_M = 0.5  # nearer to the lamp than this, its own bonnet is not lit
+_BEAM_HEIGHT_M = 0.9  # above the lamps the dipped beam is cut off
+_BEAM_CUT = 40.0  # how sharply
+_BEAM_POWER = 45.0  # by eye
+_BEAM_SOFTENING_M2 = 40.0  # keeps the inverse square finite near the lamps
+_BEAM_NARROW = 5.0  # the beam falls to 1/e at 24 degrees to either side
+
+
+class Walk(NamedTuple):
+    """Evenly spaced texels along a span, in units of 1/65536 texel: the first one, and the way to the next."""
+
+    u: int
+    v: int
+    step_u: int
+    step_v: int
+
+
+class Size(NamedTuple):
+    """Of one reduction of a texture, whose sides are powers of two: log2 of its width, width - 1 and height - 1."""
+
+    log_w: int
+    mask_u: int
+    mask_v: int
 
 
 @inlined
-def add_texels(texels, shape, u, v, step_u, step_v, where, keep, red_blue, green_alpha):
+def add_texels(
+    texels: UInt32s, size: Size, walk: Walk, where: Int32s, keep: np.uint32, red_blue: UInt32s, green_alpha: UInt32s
+) -> None:
     """Add a texture, interpolated between four texels, along a span to the sums of its pixels.
 
     Two loops of 32-bit numbers, so that both run in SIMD; each product weighs two channels at once.
 
     Args:
         texels: of one reduction.
-        shape: log2 of its width, width - 1 and height - 1.
-        u: texel coordinates of the first pixel in 1/65536.
-        v: the same.
-        step_u: from pixel to pixel.
-        step_v: the same.
-        where: ``(6, SPAN)`` int32, working memory.
-        keep: uint32, all bits to add to the sums, none to begin them (what they held before is dropped).
-        red_blue: uint32, sums of red in the lower 16 bits, of blue in the upper.
+        size: of that.
+        walk: where the pixels of the span are; what does not fit into 32 bits only repeats the texture.
+        where: ``(6, SPAN)`` working memory.
+        keep: all bits to add to the sums, none to begin them (what they held before is dropped).
+        red_blue: sums of red in the lower 16 bits, of blue in the upper.
         green_alpha: the same of green and the fourth channel.
     """
-    log_w, mask_u, mask_v = shape
-    u, v, along, down = int32(u), int32(v), int32(step_u), int32(step_v)  # what does not fit only repeats the texture
+    log_w, mask_u, mask_v = size.log_w, size.mask_u, size.mask_v
+    u, v, along, down = int32(walk.u), int32(walk.v), int32(walk.step_u), int32(walk.step_v)
     here, right, below, across, shares_u, shares_v = where[0], where[1], where[2], where[3], where[4], where[5]
+    # Where the four texels around each pixel are, and how far it is from the first one, in 1/256.
     for i in range(red_blue.shape[0]):
         x, y = u + int32(i) * along, v + int32(i) * down
         u0, v0 = (x >> 16) & mask_u, (y >> 16) & mask_v
@@ -52,6 +84,7 @@ def add_texels(texels, shape, u, v, step_u, step_v, where, keep, red_blue, green
         upper, lower = v0 << log_w, ((v0 + 1) & mask_v) << log_w
         here[i], right[i], below[i], across[i] = upper + u0, upper + u1, lower + u0, lower + u1
         shares_u[i], shares_v[i] = (x >> 8) & 255, (y >> 8) & 255
+    # Their weighted sum: weights add up to 256, so a channel of 8 bits stays within 16.
     for i in range(red_blue.shape[0]):
         a, b = uint32(shares_u[i]), uint32(shares_v[i])
         w11 = uint32(a * b) >> _U8
@@ -71,7 +104,7 @@ def add_texels(texels, shape, u, v, step_u, step_v, where, keep, red_blue, green
 
 
 @inlined
-def bilinear1(image, u, v, mask):
+def bilinear1(image: Float32s, u: float, v: float, mask: int) -> float:
     """One channel of a square repeating image at (u, v)."""
     floor_u, floor_v = np.floor(u), np.floor(v)
     a, b = u - floor_u, v - floor_v
@@ -83,21 +116,18 @@ def bilinear1(image, u, v, mask):
 
 
 @inlined
-def read_grain(tile, log, u, v, step_u, step_v, where, out):
+def read_grain(tile: UInt32s, log: int, walk: Walk, where: Int32s, out: Float32s) -> None:
     """Fine grain along a span, interpolated between four texels, 0..255 * 256.
 
     Args:
         tile: ``quads`` of a square tile.
         log: log2 of its side.
-        u: texel coordinates of the first pixel in 1/65536.
-        v: the same.
-        step_u: from pixel to pixel.
-        step_v: the same.
-        where: ``(6, SPAN)`` int32, working memory.
-        out: float32.
+        walk: where the pixels of the span are.
+        where: ``(6, SPAN)`` working memory.
+        out: one number per pixel.
     """
     mask = (1 << log) - 1
-    u, v, along, down = int32(u), int32(v), int32(step_u), int32(step_v)
+    u, v, along, down = int32(walk.u), int32(walk.v), int32(walk.step_u), int32(walk.step_v)
     place, shares_u, shares_v = where[0], where[1], where[2]
     for i in range(out.shape[0]):
         x, y = u + int32(i) * along, v + int32(i) * down
@@ -111,7 +141,7 @@ def read_grain(tile, log, u, v, step_u, step_v, where, out):
 
 
 @inlined
-def bytes_at(image, mask, u, v):
+def bytes_at(image: UInt8s, mask: int, u: int, v: int) -> int:
     """One channel of a square repeating image of bytes at (u, v) in 1/65536 texels; 0..255 * 65536."""
     a, b = (u >> 8) & 255, (v >> 8) & 255
     u0, v0 = (u >> 16) & mask, (v >> 16) & mask
@@ -122,8 +152,8 @@ def bytes_at(image, mask, u, v):
 
 
 @inlined
-def level(ratio):
-    """Reduction whose texels match ``ratio`` texels a pixel: round(log2(ratio))."""
+def level(ratio: float) -> int:
+    """Reduction whose texels match ``ratio`` texels a pixel: round(log2(ratio)), by comparison with 2^(n + 1/2)."""
     return (
         (ratio > 1.41)
         + (ratio > 2.83)
@@ -139,49 +169,46 @@ def level(ratio):
 
 
 @inlined
-def above_shadow(field, x, y, z):
+def above_shadow(field: Float32s, x: float, y: float, z: float) -> float:
     """Share of the sun that houses leave at a point: four soft comparisons, interpolated."""
     u, v = (x + HALF_EXTENT_M) * FIELD_TEXELS_PER_M - 0.5, (y + HALF_EXTENT_M) * FIELD_TEXELS_PER_M - 0.5
     floor_u, floor_v = np.floor(u), np.floor(v)
     a, b = u - floor_u, v - floor_v
     u0, v0 = int(floor_u) & _FIELD_MASK, int(floor_v) & _FIELD_MASK
     u1, v1 = (u0 + 1) & _FIELD_MASK, (v0 + 1) & _FIELD_MASK
-    c00 = min(max(2.0 * (z - field[np.uintp(v0), np.uintp(u0)]), 0.0), 1.0)
-    c01 = min(max(2.0 * (z - field[np.uintp(v0), np.uintp(u1)]), 0.0), 1.0)
-    c10 = min(max(2.0 * (z - field[np.uintp(v1), np.uintp(u0)]), 0.0), 1.0)
-    c11 = min(max(2.0 * (z - field[np.uintp(v1), np.uintp(u1)]), 0.0), 1.0)
+    c00 = min(max(_SOFT * (z - field[np.uintp(v0), np.uintp(u0)]), 0.0), 1.0)
+    c01 = min(max(_SOFT * (z - field[np.uintp(v0), np.uintp(u1)]), 0.0), 1.0)
+    c10 = min(max(_SOFT * (z - field[np.uintp(v1), np.uintp(u0)]), 0.0), 1.0)
+    c11 = min(max(_SOFT * (z - field[np.uintp(v1), np.uintp(u1)]), 0.0), 1.0)
     return (c00 * (1.0 - a) + c01 * a) * (1.0 - b) + (c10 * (1.0 - a) + c11 * a) * b
 
 
 @inlined
-def lamp_light(lamps, corner_x, corner_y, beam, x, y, z, up, rx, ry, rz):
+def lamp_light(lamps: Lamps, point: Point, up: float, ray: Point) -> float:
     """Light of street lamps and of the car's own head lights.
 
     Args:
-        lamps: light on the ground, one value a metre.
-        corner_x: map position of its corner, metres.
-        corner_y: the same.
-        beam: ``(8,)`` see :func:`shade`.
-        x: map position a little off the surface, metres.
-        y: the same.
-        z: height, metres.
+        lamps: of the night.
+        point: map position a little off the surface, metres.
         up: upward part of the surface's normal.
-        rx: the same point in camera coordinates, metres.
-        ry: the same.
-        rz: the same.
+        ray: the same point in camera coordinates, metres.
     """
+    x, y, z = point
+    rx, ry, rz = ray
+    window, corner, beam = lamps.window, lamps.corner, lamps.beam
     # The map holds the light on the ground; walls get less, and hardly any above the lamps.
-    upright = 1.0 if up > 0.7 else 0.65
-    mask = lamps.shape[0] - 1
-    total = 0.6 * upright * min(max(2.2 - 0.25 * z, 0.12), 1.0)
-    total *= bilinear1(lamps, x - corner_x - 0.5, y - corner_y - 0.5, mask)
-    ahead = beam[0] * rx + beam[1] * ry + beam[2] * rz + beam[3] - 3.7
-    if ahead > 0.5:
+    upright = 1.0 if up > _FLOOR_UP else _WALL_SHARE
+    mask = window.shape[0] - 1
+    total = _LAMP_SHARE * upright * min(max(2.2 - 0.25 * z, 0.12), 1.0)  # full up to 4.8 m, an eighth from 8.3 m on
+    total *= bilinear1(window, x - corner[0] - 0.5, y - corner[1] - 0.5, mask)
+    ahead = beam[0] * rx + beam[1] * ry + beam[2] * rz + beam[3] - _BEAM_START_M
+    if ahead > _BEAM_SHORTEST_M:
         aside = beam[4] * rx + beam[5] * ry + beam[6] * rz + beam[7]
         angle = aside / ahead
-        above = max(z - 0.9, 0.0)
-        cut = 1.0 + 40.0 * above * above / ahead
-        total += 45.0 / (ahead * ahead + aside * aside + 40.0) * np.exp(-5.0 * angle * angle) / cut
+        above = max(z - _BEAM_HEIGHT_M, 0.0)
+        cut = 1.0 + _BEAM_CUT * above * above / ahead
+        spread = ahead * ahead + aside * aside + _BEAM_SOFTENING_M2
+        total += _BEAM_POWER / spread * np.exp(-_BEAM_NARROW * angle * angle) / cut
     return total
 
 

@@ -7,15 +7,16 @@ haze and lamp light are chosen once per span.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import float32
 
 from mixo_env.compiled import compiled_unchecked, inlined
-from mixo_env.simulator.mesh import CUT_OUT, GROUND, SHADE, SOLID
 from mixo_env.simulator.sampling import (
-    CELL_SHIFT,
-    HALF_EXTENT_M,
     PICTURE_MASK,
+    Size,
+    Walk,
     above_shadow,
     add_texels,
     bytes_at,
@@ -24,126 +25,192 @@ from mixo_env.simulator.sampling import (
     read_grain,
 )
 from mixo_env.simulator.sensor import spread_motion
-from mixo_env.simulator.shadows import PICTURE_TEXELS_PER_M
+from mixo_env.simulator.sky import shade_sky
+from mixo_env.simulator.spans import (
+    GRAIN_UNIT,
+    INVERSE,
+    ONE,
+    RADIANCE_TOP,
+    SPAN,
+    Canvas,
+    Memory,
+    Run,
+    Shot,
+    Span,
+    ramps,
+    whole,
+)
+from mixo_env.simulator.sunlight import Sun, no_sun, sun_on_ground, sun_on_wall
+from mixo_env.simulator.surfaces import Look, Surface, Sweep, look_of, rays_in, surface_in, sweep_in
 from mixo_env.simulator.textures import DETAIL_SIDE
-
-SPAN = 32
-"""Longest run of pixels that shares one reduction of the texture."""
+from mixo_env.simulator.views import BODY, Float32s, Int64s, Point, Textures, UInt32s, View
 
 MOST_TAPS = 3
 """Samples along the long axis of a pixel's footprint on a slanted surface."""
 
-RADIANCE_TOP = (1 << 18) - 1
-"""Largest radiance of a pixel: eight of them fit into a field of 21 bits."""
-
-_INVERSE = np.array([0.0] + [1.0 / i for i in range(1, SPAN + 1)])
-_POWER = np.array([2.0**-i for i in range(12)])
+_SHORTEST = 4  # pixels: shorter spans cost more than they hold
+_POWER = np.array([2.0**-i for i in range(12)])  # scale of each reduction
 _U16, _LOW = np.uint32(16), np.uint32(0xFFFF)
-_ONE = 65536.0  # texel coordinates and factors in fixed point
-_HALF = 32768
-_GRAIN_UNIT = 1.0 / (255.0 * 256.0)
-_BYTE_UNIT = 1.0 / (255.0 * _ONE)
+_HALF = 32768  # texels' centres lie at halves
+_BYTE_UNIT = 1.0 / (255.0 * ONE)  # full scale of ``bytes_at``
 _DETAIL_LOG = DETAIL_SIDE.bit_length() - 1
-_SKY_LOG = 9
-_EVEN_SPAN_TEXELS = 6.0
 _OFF_WALL_M = 0.8  # shadows are looked up this far off a surface, or every wall would shade itself
+_MINOR = 0.4  # max + 0.4 min is the length of a vector to 8 %, without a root
+_SLANTED = 1.41  # texels a pixel, below which one sample is enough
+_SHARPEST = 0.7  # texels: a footprint thinner than this is as good as this
+_NEAREST_M = 1e-4  # what the motion carries behind the camera is taken to be here
 
 
-@inlined
-def _ramps(along, along_step, down, down_step, flow_along, flow_down):
-    """Write a motion that changes evenly along a span."""
-    u, du, v, dv = float32(along), float32(along_step), float32(down), float32(down_step)
-    for i in range(flow_along.shape[0]):
-        flow_along[i] = u + du * float32(i)
-        flow_down[i] = v + dv * float32(i)
+class Footprint(NamedTuple):
+    """What a pixel in the middle of a span covers of the texture.
 
-
-@inlined
-def _sky_point(x, row, camera, turn):
-    """One pixel of the sky.
-
-    Returns:
-        Texel on the plane of clouds (2), how high it looks (0 at the horizon, 1 overhead), and its motion (2).
+    Attributes:
+        taps: samples along its long axis; ``share`` is 1 / taps.
+        u, v: texels from sample to sample.
+        reduction: of the texture, chosen by its short axis.
+        grain: reduction of the fine grain.
     """
-    rotation, lens = camera[0], camera[2]
-    dx, dy = (x - lens[2]) / lens[0], (row - lens[3]) / lens[1]
-    wx = rotation[0, 0] * dx + rotation[1, 0] * dy + rotation[2, 0]
-    wy = rotation[0, 1] * dx + rotation[1, 1] * dy + rotation[2, 1]
-    wz = rotation[0, 2] * dx + rotation[1, 2] * dy + rotation[2, 2]
-    norm = 1.0 / np.sqrt(wx * wx + wy * wy + wz * wz)
-    up = max(wz * norm, 0.0)
-    scale = 60.0 * norm / (up + 0.12)
-    z = 1.0 / (turn[6] * dx + turn[7] * dy + turn[8])
-    u = (turn[0] * dx + turn[1] * dy + turn[2]) * z * lens[0] + lens[2]
-    v = (turn[3] * dx + turn[4] * dy + turn[5]) * z * lens[1] + lens[3]
-    return wx * scale, wy * scale, min(2.0 * up, 1.0), 2.0 * (u - x), 2.0 * (v - row)
+
+    taps: int
+    share: float
+    u: float
+    v: float
+    reduction: int
+    grain: int
+
+
+class Haze(NamedTuple):
+    """Share of light that the air leaves, and what it adds."""
+
+    air: float
+    red: np.float32
+    green: np.float32
+    blue: np.float32
 
 
 @inlined
-def _blend_sky(high, rise, contrast, tones, specks, out):
-    """Packed radiance of a span of sky: haze below, zenith above, clouds a little brighter than the haze is red."""
-    haze0, haze1, haze2, top0, top1, top2 = tones
-    white, most = float32(1.25) * haze0, float32(RADIANCE_TOP)
-    for i in range(out.shape[0]):
-        cloud = contrast * specks[i]
-        share = (high + rise * float32(i)) * (float32(1.0) - cloud)
-        keep, glow = float32(1.0) - cloud - share, white * cloud
-        r, g = haze0 * keep + top0 * share + glow, haze1 * keep + top1 * share + glow
-        b = haze2 * keep + top2 * share + glow
-        out[i] = np.int64(min(r, most)) | np.int64(min(g, most)) << 21 | np.int64(min(b, most)) << 42
+def _span(s: Surface, x: int, stop: int) -> Span:
+    """The span that begins at ``x``: as long as linear interpolation is good enough."""
+    w = s.w0 + s.w1 * x
+    z = 1.0 / w
+    longest = max(_SHORTEST, int(min(np.sqrt(w * s.bend), float(SPAN))))
+    last = min(x + longest, stop) - 1
+    steps = last - x
+    inverse = INVERSE[steps]
+    u, v = (s.u0 + s.u1 * x) * z, (s.v0 + s.v1 * x) * z
+    z_last = 1.0 / (s.w0 + s.w1 * last)
+    du, dv = ((s.u0 + s.u1 * last) * z_last - u) * inverse, ((s.v0 + s.v1 * last) * z_last - v) * inverse
+    return Span(x, last, steps, inverse, z, z_last, 0.5 * (z + z_last), u, v, du, dv)
 
 
 @inlined
-def _sky_run(row, begin, stop, camera, light, textures, motion, memory, out, flow):
-    """Clouds on a plane between clear sky and haze; they move with the camera's rotation only."""
-    sky, turn, specks, where = textures[4], motion[0], memory[3], memory[4]
-    tones = (
-        float32(light[3]), float32(light[4]), float32(light[5]),
-        float32(light[6]), float32(light[7]), float32(light[8]),
-    )  # fmt: skip
-    x = begin
-    while x < stop:
-        end = min(x + SPAN, stop)
-        inverse = _INVERSE[end - 1 - x]
-        u, v, high, fu, fv = _sky_point(x, row, camera, turn)
-        eu, ev, ehigh, efu, efv = _sky_point(end - 1, row, camera, turn)
-        gu, gv = int(u * _ONE), int(v * _ONE)
-        du, dv = int((eu - u) * inverse * _ONE), int((ev - v) * inverse * _ONE)
-        ehigh, efu, efv = (ehigh - high) * inverse, (efu - fu) * inverse, (efv - fv) * inverse
-        read_grain(sky, _SKY_LOG, gu, gv, du, dv, where, specks[: _whole(end - x)])
-        contrast = float32(light[9] * _GRAIN_UNIT)
-        _blend_sky(float32(high), float32(ehigh), contrast, tones, specks[: end - x], out[row, x:end])
-        _ramps(fu, efu, fv, efv, flow[0, row, x:end], flow[1, row, x:end])
-        x = end
+def _footprint(s: Surface, span: Span, look: Look) -> Footprint:
+    """Derivatives of the texel in column and row; the long axis is sampled, the short axis chooses the reduction."""
+    z = span.z
+    um, vm = span.u + 0.5 * span.du * span.steps, span.v + 0.5 * span.dv * span.steps
+    ux, vx = (s.u1 - um * s.w1) * z, (s.v1 - vm * s.w1) * z
+    uy, vy = (s.u2 - um * s.w2) * z, (s.v2 - vm * s.w2) * z
+    ax, bx, ay, by = abs(ux), abs(vx), abs(uy), abs(vy)
+    across, along = max(ax, bx) + _MINOR * min(ax, bx), max(ay, by) + _MINOR * min(ay, by)
+    if across > along:
+        wide, thin, ju, jv = across, along, ux, vx
+    else:
+        wide, thin, ju, jv = along, across, uy, vy
+    taps = 1
+    if wide > _SLANTED:
+        taps = max(1, min(MOST_TAPS, int(wide / max(thin, _SHARPEST) + 0.5)))
+    share = INVERSE[taps]
+    ju, jv = ju * share, jv * share
+    grain = level(max(abs(ju * look.grain_per_u), abs(jv * look.grain_per_v)))
+    return Footprint(taps, share, ju, jv, level(wide * share), grain)
 
 
 @inlined
-def _whole(length):
-    """Pixels to compute for a span: up to seven more than it has, so that SIMD leaves no rest.
-
-    What they write beyond the span, the next span of the row writes again.
-    """
-    return (length + 7) & ~7
+def _haze(z: float, shot: Shot) -> Haze:
+    """The air between: e to minus the way, by the first terms of its series; at the limit of sight nothing is left."""
+    light = shot.light[0]
+    density = light.haze_per_m
+    air = 1.0 / (1.0 + z * density * (1.0 + 0.5 * z * density))
+    fade = max(z / shot.camera.far_m * 4.0 - 3.0, 0.0)  # within the last quarter of it
+    air *= 1.0 - fade * fade
+    return Haze(
+        air,
+        float32(light.haze_red * (1.0 - air)),
+        float32(light.haze_green * (1.0 - air)),
+        float32(light.haze_blue * (1.0 - air)),
+    )
 
 
 @inlined
-def _fetch(texels, shape, steps, taps, where, red_blue, green_alpha):
+def _off_surface(ray: Point, z: float, view: View, look: Look) -> Point:
+    """Map position a little off the surface that is seen along ``ray`` at depth ``z``."""
+    position = view.position_m
+    return (
+        position[0] + ray[0] * z + _OFF_WALL_M * look.normal_x,
+        position[1] + ray[1] * z + _OFF_WALL_M * look.normal_y,
+        position[2] + ray[2] * z + _OFF_WALL_M * look.normal_z,
+    )
+
+
+@inlined
+def _read_texture(textures: Textures, number: int, span: Span, foot: Footprint, part: Memory) -> None:
     """Texture along a span: the sum of ``taps`` samples for every pixel."""
-    u, v, step_u, step_v, tap_u, tap_v = steps
-    for tap in range(taps):
+    table, reduce = textures.table, _POWER[foot.reduction] * ONE
+    start, log_w = table[number, foot.reduction, 0], table[number, foot.reduction, 1]
+    size = Size(log_w, (1 << log_w) - 1, (1 << table[number, foot.reduction, 2]) - 1)
+    back = 0.5 * (foot.taps - 1)  # samples lie about the middle of the pixel
+    u, v = int((span.u - back * foot.u) * reduce) - _HALF, int((span.v - back * foot.v) * reduce) - _HALF
+    tap_u, tap_v, step_u, step_v = (
+        int(foot.u * reduce), int(foot.v * reduce), int(span.du * reduce), int(span.dv * reduce),
+    )  # fmt: skip
+    for tap in range(foot.taps):
         keep = np.uint32(0) if tap == 0 else np.uint32(0xFFFFFFFF)
-        add_texels(texels, shape, u + tap * tap_u, v + tap * tap_v, step_u, step_v, where, keep, red_blue, green_alpha)
+        walk = Walk(u + tap * tap_u, v + tap * tap_v, step_u, step_v)
+        add_texels(textures.texels[start:], size, walk, part.where, keep, part.red_blue, part.green_alpha)
 
 
 @inlined
-def _glow(light, emission, scale, unit, green_alpha, factors):
+def _glow(light: float, emission: float, scale: float, unit: float, green_alpha: UInt32s, factors: Float32s) -> None:
     """Light of a span in even light whose texture shines by itself."""
     for i in range(factors.shape[0]):
         factors[i] = (light + emission * np.int32(green_alpha[i] >> _U16) * scale) * unit
 
 
 @inlined
-def _apply_grain(base, gain, specks, factors):
+def _light_each(
+    count: int, steady: float, sun: Sun, look: Look, scales: tuple[float, float], shot: Shot, part: Memory
+) -> None:
+    """Light of ``count`` pixels on which the sun shines differently."""
+    scale, unit = scales
+    walk, daylight = sun.walk, shot.daylight
+    for i in range(count):
+        if look.on_ground:
+            at_u, at_v = walk.u + i * walk.step_u, walk.v + i * walk.step_v
+            sunny = bytes_at(daylight.picture, PICTURE_MASK, at_u, at_v) * _BYTE_UNIT
+        else:
+            x, y, z = sun.x + sun.step_x * i, sun.y + sun.step_y * i, sun.z + sun.step_z * i
+            sunny = above_shadow(daylight.field, x, y, z)
+        emitted = look.emission * np.int64(part.green_alpha[i] >> _U16) * scale
+        part.factors[i] = (steady + look.facing * sunny + emitted) * unit
+
+
+@inlined
+def _light_all(
+    span: Span, steady: float, sun: Sun, look: Look, scales: tuple[float, float], shot: Shot, part: Memory
+) -> None:
+    """Factors between the squared sums of the texture and the light that arrives from each pixel of a span."""
+    scale, unit = scales
+    bright = steady + look.facing * sun.share
+    if look.emission > 0.0 and not sun.varied:
+        _glow(bright, look.emission, scale, unit, part.green_alpha, part.factors)
+    elif sun.varied:
+        _light_each(span.last + 1 - span.x, steady, sun, look, scales, shot, part)
+    else:
+        part.factors[:] = bright * unit
+
+
+@inlined
+def _apply_grain(base: np.float32, gain: np.float32, specks: Float32s, factors: Float32s) -> None:
     """Multiply ``factors`` by the square of the fine grain along a span."""
     for i in range(factors.shape[0]):
         speck = base + specks[i] * gain
@@ -151,8 +218,23 @@ def _apply_grain(base, gain, specks, factors):
 
 
 @inlined
-def _colour(red_blue, green_alpha, factors, tint0, tint1, tint2, haze0, haze1, haze2, out):
+def _roughen(textures: Textures, look: Look, span: Span, grain: int, part: Memory) -> None:
+    """Fine grain along a span, in its reduction ``grain``."""
+    small = _POWER[grain] * ONE
+    u = int((span.u * look.grain_per_u + look.grain_u) * small) - _HALF
+    v = int((span.v * look.grain_per_v + look.grain_v) * small) - _HALF
+    walk = Walk(u, v, int(span.du * look.grain_per_u * small), int(span.dv * look.grain_per_v * small))
+    tile = textures.detail[textures.detail_start[grain] :]
+    read_grain(tile, _DETAIL_LOG - grain, walk, part.where, part.specks)
+    # Half of full scale is neutral.
+    _apply_grain(float32(1.0 - 0.5 * look.strength), float32(look.strength * GRAIN_UNIT), part.specks, part.factors)
+
+
+@inlined
+def _colour(part: Memory, look: Look, haze: Haze, out: Int64s) -> None:
     """Packed radiance of a span: squares of the texture's sums times tint and light, plus haze."""
+    red_blue, green_alpha, factors = part.red_blue, part.green_alpha, part.factors
+    tint0, tint1, tint2, haze0, haze1, haze2 = look.red, look.green, look.blue, haze.red, haze.green, haze.blue
     top = float32(RADIANCE_TOP)
     for i in range(out.shape[0]):
         factor = factors[i]
@@ -164,190 +246,70 @@ def _colour(red_blue, green_alpha, factors, tint0, tint1, tint2, haze0, haze1, h
 
 
 @inlined
-def _shade_run(row, begin, stop, k, seen, camera, light, textures, daylight, night, motion, memory, out, flow):
-    """Shade the pixels ``begin`` to ``stop`` of a row, all of slot ``k``; see :func:`shade`."""
-    reds, greens, scratch, noise, where = memory
-    _, plane, style, mark, _ = seen
-    rotation, position, lens, far = camera
-    texels, table, detail, detail_start, _, ground_scale, grain_levels = textures
-    sunlight, sun_cells, field = daylight
-    lamps, lamp_origin, beam = night
-    fx, fy, cx, cy = lens[0], lens[1], lens[2], lens[3]
-    sun, density, glow, wetness = light[1], light[2], light[10], light[11]
-    dy = (row - cy) / fy
-    sx, sy, sz = rotation[0, 0] / fx, rotation[0, 1] / fx, rotation[0, 2] / fx  # map ray per column
-    d0 = rotation[2, 0] + rotation[1, 0] * dy - sx * cx
-    d1 = rotation[2, 1] + rotation[1, 1] * dy - sy * cx
-    d2 = rotation[2, 2] + rotation[1, 2] * dy - sz * cx
-    to_picture = PICTURE_TEXELS_PER_M / ground_scale
-    at_picture = HALF_EXTENT_M * PICTURE_TEXELS_PER_M - 0.5
-    u1, v1, w1 = plane[k, 1], plane[k, 4], plane[k, 7]
-    u2, v2, w2 = plane[k, 2], plane[k, 5], plane[k, 8]
-    u0, v0, w0 = plane[k, 0] + u2 * row, plane[k, 3] + v2 * row, plane[k, 6] + w2 * row
-    ratio_u, ratio_v, grain_u, grain_v = style[k, 4], style[k, 5], style[k, 6], style[k, 7]
-    strength, facing = style[k, 8], style[k, 9] * sun
-    n0, n1, n2 = style[k, 10], style[k, 11], style[k, 12]
-    o0, o1, o2 = _OFF_WALL_M * n0, _OFF_WALL_M * n1, _OFF_WALL_M * n2
-    material, number = mark[k, 1], mark[k, 2]
-    on_ground = material == GROUND
-    tint0 = float32(style[k, 0] * light[12])
-    tint1 = float32(style[k, 1] * light[13])
-    tint2 = float32(style[k, 2] * light[14])
-    emission = 0.0 if mark[k, 0] & CUT_OUT != 0 else 4.0 * glow * style[k, 3]
-    if material == SHADE:
-        facing = 0.0
-    level_light = light[0] * (0.82 + 0.18 * n2)
-    if material != SOLID:
-        level_light *= 1.0 - 0.5 * wetness  # wet ground is dark
-    # Where the surface is seen at the end of the exposure: numerators linear in the column.
-    m = motion[mark[k, 3]]
-    mx0 = m[1] * dy + m[2] - m[0] * cx / fx + m[9] * w0
-    my0 = m[4] * dy + m[5] - m[3] * cx / fx + m[10] * w0
-    mz0 = m[7] * dy + m[8] - m[6] * cx / fx + m[11] * w0
-    mx1, my1, mz1 = m[0] / fx + m[9] * w1, m[3] / fx + m[10] * w1, m[6] / fx + m[11] * w1
-    # Linear interpolation over n pixels errs by n^2 / 4 |w1 / w| pixels.
-    bend = 0.6 / (abs(w1) + 1e-12)
-    sun_at_end, x = 0.0, begin
+def _flow_at(sweep: Sweep, column: int, row: int, view: View) -> tuple[float, float]:
+    """Motion of a pixel during the exposure: twice that from its middle to its end."""
+    fx, fy, cx, cy = view.fx, view.fy, view.cx, view.cy
+    back = 2.0 / max(sweep.z0 + sweep.z1 * column, _NEAREST_M)
+    along = (sweep.x0 + sweep.x1 * column) * back * fx + 2.0 * (cx - column)
+    return along, (sweep.y0 + sweep.y1 * column) * back * fy + 2.0 * (cy - row)
+
+
+@inlined
+def _shade_run(run: Run, k: int, shot: Shot, memory: Memory, out: Canvas) -> None:
+    """Shade the pixels of ``run``, all of slot ``k``; see :func:`shade`."""
+    row, begin, stop = run
+    seen, view, textures, light, lamps = shot.seen, shot.camera, shot.textures, shot.light[0], shot.lamps
+    dy = (row - view.cy) / view.fy
+    surface = surface_in(seen.plane[k], row)
+    look = look_of(seen.style[k], seen.mark[k], light)
+    rays = rays_in(view, dy)
+    sweep = sweep_in(shot.motion[seen.mark[k, BODY]], view, dy, surface)
+    sun_before, x = -1.0, begin
     while x < stop:
-        w = w0 + w1 * x
-        iz = 1.0 / w
-        longest = max(4, int(min(np.sqrt(w * bend), float(SPAN))))
-        end = min(x + longest, stop)
-        last = end - 1
-        steps = last - x
-        inverse = _INVERSE[steps]
-        u, v = (u0 + u1 * x) * iz, (v0 + v1 * x) * iz
-        iz_end = 1.0 / (w0 + w1 * last)
-        du, dv = ((u0 + u1 * last) * iz_end - u) * inverse, ((v0 + v1 * last) * iz_end - v) * inverse
-        z = 0.5 * (iz + iz_end)
-        um, vm = u + 0.5 * du * steps, v + 0.5 * dv * steps
-
-        # Footprint of a pixel on the texture: its long axis is sampled, its short axis chooses the reduction.
-        ux, vx = (u1 - um * w1) * z, (v1 - vm * w1) * z
-        uy, vy = (u2 - um * w2) * z, (v2 - vm * w2) * z
-        ax, bx, ay, by = abs(ux), abs(vx), abs(uy), abs(vy)
-        across, along = max(ax, bx) + 0.4 * min(ax, bx), max(ay, by) + 0.4 * min(ay, by)
-        if across > along:
-            wide, thin, ju, jv = across, along, ux, vx
-        else:
-            wide, thin, ju, jv = along, across, uy, vy
-        taps = 1
-        if wide > 1.41:
-            taps = max(1, min(MOST_TAPS, int(wide / max(thin, 0.7) + 0.5)))
-        share = _INVERSE[taps]
-        rung = level(wide * share)
-        reduce = _POWER[rung] * _ONE
-        start, log_w = table[number, rung, 0], table[number, rung, 1]
-        mask_u, mask_v = (1 << log_w) - 1, (1 << table[number, rung, 2]) - 1
-        ju, jv = ju * share, jv * share
-        fine = level(max(abs(ju * ratio_u), abs(jv * ratio_v)))
-
+        # Where the span lies on the texture and in the map.
+        span = _span(surface, x, stop)
+        foot = _footprint(surface, span, look)
+        ray = rays.d0 + rays.s0 * x, rays.d1 + rays.s1 * x, rays.d2 + rays.s2 * x
+        point = _off_surface(ray, span.z_first, view, look)
         # Light that is the same for the whole span.
-        air = 1.0 / (1.0 + z * density * (1.0 + 0.5 * z * density))
-        fade = max(z / far * 4.0 - 3.0, 0.0)
-        air *= 1.0 - fade * fade
-        haze0, haze1 = float32(light[3] * (1.0 - air)), float32(light[4] * (1.0 - air))
-        haze2 = float32(light[5] * (1.0 - air))
-        steady = level_light
-        q0, q1, q2 = d0 + sx * x, d1 + sy * x, d2 + sz * x
-        p0, p1, p2 = position[0] + q0 * iz + o0, position[1] + q1 * iz + o1, position[2] + q2 * iz + o2
-        if glow > light[0]:  # by day lamps shine, but light nothing
-            rx = (0.5 * (x + last) - cx) / fx * z
-            steady += glow * lamp_light(lamps, lamp_origin[0], lamp_origin[1], beam, p0, p1, p2, n2, rx, dy * z, z)
-        sunny, varied = 1.0, False
-        e0 = e1 = e2 = 0.0
-        g0 = g1 = ge0 = ge1 = 0
-        if facing > 0.0:
-            if on_ground:
-                pu, pv = u * to_picture + at_picture, v * to_picture + at_picture
-                eu, ev = du * to_picture, dv * to_picture
-                cell = sun_cells[(int(pv) & PICTURE_MASK) >> CELL_SHIFT, (int(pu) & PICTURE_MASK) >> CELL_SHIFT]
-                there = sun_cells[
-                    (int(pv + ev * steps) & PICTURE_MASK) >> CELL_SHIFT,
-                    (int(pu + eu * steps) & PICTURE_MASK) >> CELL_SHIFT,
-                ]
-                sunny = cell * (1.0 / 255.0)
-                varied = cell != there or cell == 1 or (abs(eu) + abs(ev)) * steps > _EVEN_SPAN_TEXELS
-                if varied:
-                    g0, g1, ge0, ge1 = int(pu * _ONE), int(pv * _ONE), int(eu * _ONE), int(ev * _ONE)
-            else:
-                e0 = position[0] + (q0 + sx * steps) * iz_end + o0
-                e1 = position[1] + (q1 + sy * steps) * iz_end + o1
-                e2 = position[2] + (q2 + sz * steps) * iz_end + o2
-                sunny = above_shadow(field, p0, p1, p2) if x == begin else sun_at_end
-                sun_at_end = above_shadow(field, e0, e1, e2)
-                varied = sunny != sun_at_end
-                e0, e1, e2 = (e0 - p0) * inverse, (e1 - p1) * inverse, (e2 - p2) * inverse
-        bright = steady + facing * sunny
-
-        back = 0.5 * (taps - 1)
-        tu, tv = int((u - back * ju) * reduce) - _HALF, int((v - back * jv) * reduce) - _HALF
-        tap_u, tap_v, step_u, step_v = int(ju * reduce), int(jv * reduce), int(du * reduce), int(dv * reduce)
-        small = _POWER[fine] * _ONE
-        gu, gv = int((u * ratio_u + grain_u) * small) - _HALF, int((v * ratio_v + grain_v) * small) - _HALF
-        grain_step_u, grain_step_v = int(du * ratio_u * small), int(dv * ratio_v * small)
-        fine_start, fine_log = detail_start[fine], _DETAIL_LOG - fine
-        scale = share * (1.0 / 255.0)
-        unit = scale * scale * air
-        grain_gain, grain_base = float32(strength * _GRAIN_UNIT), float32(1.0 - 0.5 * strength)
-        # Each step is a loop of its own over the span: the arithmetic of the last two then runs in SIMD.
-        wide_span = _whole(end - x)
-        red_blue, green_alpha, factors, specks = (
-            reds[:wide_span],
-            greens[:wide_span],
-            scratch[:wide_span],
-            noise[:wide_span],
-        )
-        steps_of_texture = tu, tv, step_u, step_v, tap_u, tap_v
-        _fetch(texels[start:], (log_w, mask_u, mask_v), steps_of_texture, taps, where, red_blue, green_alpha)
-        if emission > 0.0 and not varied:
-            _glow(bright, emission, scale, unit, green_alpha, factors)
-        elif varied:
-            for i in range(end - x):
-                if on_ground:
-                    sunny = bytes_at(sunlight, PICTURE_MASK, g0 + i * ge0, g1 + i * ge1) * _BYTE_UNIT
-                else:
-                    sunny = above_shadow(field, p0 + e0 * i, p1 + e1 * i, p2 + e2 * i)
-                emitted = emission * np.int64(green_alpha[i] >> _U16) * scale
-                factors[i] = (steady + facing * sunny + emitted) * unit
+        haze = _haze(span.z, shot)
+        steady = look.ambient
+        if light.lamps > light.ambient:  # by day lamps shine, but light nothing
+            ahead = (0.5 * (x + span.last) - view.cx) / view.fx * span.z
+            steady += light.lamps * lamp_light(lamps, point, look.normal_z, (ahead, dy * span.z, span.z))
+        # Sun.
+        if look.facing <= 0.0:
+            sun = no_sun()
+        elif look.on_ground:
+            sun = sun_on_ground(shot.daylight, span, textures.ground_texels_per_m)
         else:
-            factors[:] = bright * unit
-        if fine < grain_levels and strength > 0.0:
-            read_grain(detail[fine_start:], fine_log, gu, gv, grain_step_u, grain_step_v, where, specks)
-            _apply_grain(grain_base, grain_gain, specks, factors)
-        _colour(red_blue, green_alpha, factors, tint0, tint1, tint2, haze0, haze1, haze2, out[row, x : x + wide_span])
-
-        back = 2.0 / max(mz0 + mz1 * x, 1e-4)
-        mu, mv = (mx0 + mx1 * x) * back * fx + 2.0 * (cx - x), (my0 + my1 * x) * back * fy + 2.0 * (cy - row)
-        back = 2.0 / max(mz0 + mz1 * last, 1e-4)
-        nu = ((mx0 + mx1 * last) * back * fx + 2.0 * (cx - last) - mu) * inverse
-        nv = ((my0 + my1 * last) * back * fy + 2.0 * (cy - row) - mv) * inverse
-        _ramps(mu, nu, mv, nv, flow[0, row, x : x + wide_span], flow[1, row, x : x + wide_span])
-        x = end
+            steps = span.steps
+            last = ray[0] + rays.s0 * steps, ray[1] + rays.s1 * steps, ray[2] + rays.s2 * steps
+            end = _off_surface(last, span.z_last, view, look)
+            sun = sun_on_wall(shot.daylight.field, span, point, end, sun_before)
+            sun_before = sun.at_end
+        # Each step is a loop of its own over the span: the arithmetic of the last two then runs in SIMD.
+        n = whole(span.last + 1 - x)
+        part = Memory(memory.red_blue[:n], memory.green_alpha[:n], memory.factors[:n], memory.specks[:n], memory.where)
+        _read_texture(textures, look.texture, span, foot, part)
+        scale = foot.share * (1.0 / 255.0)
+        _light_all(span, steady, sun, look, (scale, scale * scale * haze.air), shot, part)
+        if foot.grain < textures.grain_levels and look.strength > 0.0:
+            _roughen(textures, look, span, foot.grain, part)
+        _colour(part, look, haze, out.radiance[row, x : x + n])
+        # Motion.
+        u, v = _flow_at(sweep, x, row, view)
+        eu, ev = _flow_at(sweep, span.last, row, view)
+        du, dv = (eu - u) * span.inverse, (ev - v) * span.inverse
+        ramps(u, du, v, dv, out.flow[0, row, x : x + n], out.flow[1, row, x : x + n])
+        x = span.last + 1
 
 
 @compiled_unchecked
-def shade(seen, camera, light, textures, daylight, night, motion, out, flow):
-    """Fill ``out`` with linear radiance and ``flow`` with the way each pixel's surface moves during the exposure.
-
-    Args:
-        seen: owner, plane, style, mark and depth of ``DepthBuffers``.
-        camera: rotation ``(3, 3)`` camera from map, position ``(3,)``, lens (fx, fy, cx, cy) and the limit of sight in
-            metres.
-        light: ``(15,)`` ambient, sun, haze per metre, haze colour (3), zenith colour (3), clouds, lamps, wetness,
-            colour (3); radiance in units of the integer result.
-        textures: texels and table of the atlas, fine grain and the first entry of each of its reductions, the
-            sky, the texels per metre of the ground, and the ``grain_levels`` of the weather.
-        daylight: picture of the sunlight on the ground, its ``even_cells``, and the height of the houses' shadow.
-        night: light of lamps on the ground (one value a metre, a power of two wide), map position of its corner, and
-            ``(8,)`` rows x and y of ego from camera with their translation, for the car's own head lights.
-        motion: ``(bodies, 12)`` rotation by rows and translation from camera coordinates at the middle of the exposure
-            to those at its end, per rigid body; body 0 is the world.
-        out: ``(h, w)`` int64, three 21-bit fields of radiance, red lowest, each at most ``RADIANCE_TOP``.
-        flow: ``(2, h, w)`` float32 pixels, along columns and along rows.
-    """
-    owner, depth = seen[0], seen[4]
-    memory = (
+def shade(shot: Shot, out: Canvas) -> None:
+    """Fill ``out`` with linear radiance and with the way each pixel's surface moves during the exposure."""
+    owner, depth, flow = shot.seen.owner, shot.seen.depth, out.flow
+    memory = Memory(
         np.empty(SPAN, np.uint32), np.empty(SPAN, np.uint32), np.empty(SPAN, np.float32), np.empty(SPAN, np.float32),
         np.empty((6, SPAN), np.int32),
     )  # fmt: skip
@@ -356,14 +318,16 @@ def shade(seen, camera, light, textures, daylight, night, motion, out, flow):
     for row in range(height):
         x = runs = 0
         while x < width:
+            # Pixels that show the same patch.
             k = owner[row, x]
             end = x + 1
             while end < width and owner[row, end] == k:
                 end += 1
+            run = Run(row, x, end)
             if k < 0:
-                _sky_run(row, x, end, camera, light, textures, motion, memory, out, flow)
+                shade_sky(run, shot, memory, out)
             else:
-                _shade_run(row, x, end, k, seen, camera, light, textures, daylight, night, motion, memory, out, flow)
+                _shade_run(run, k, shot, memory, out)
             ends[runs] = end - 1
             runs += 1
             x = end
