@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from mixo_env.geometry import rotation_from_yaw
 from mixo_env.simulator.mesh import GROUND, SHADE, SOLID
 from mixo_env.simulator.mirror import mirror_road
+from mixo_env.simulator.views import Seen, View
 
 LENS = np.array([150.0, 150.0, 80.2, 45.3])
 POSITION = np.array([3.0, -2.0, 1.5])
@@ -40,8 +41,8 @@ class Scene:
         height, width = radiance.shape
         images = np.empty((height + 1) // 2 * ((width + 1) // 2) + 1, np.int64)
         noise = np.full((512, 512), clouds, np.uint8)
-        arrays = radiance, self.owner, self.depth, self.plane, MARK, self.rotation, POSITION, LENS, noise
-        mirror_road(*arrays, wetness, images)
+        seen = Seen(self.depth, self.owner, self.plane, np.zeros((5, 13), np.float32), MARK)
+        mirror_road(radiance, seen, View(self.rotation, POSITION, *LENS, far_m=100.0), noise, wetness, images)
         return radiance
 
 

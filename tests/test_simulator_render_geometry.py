@@ -198,9 +198,9 @@ def test_picture_wider_than_the_noise_table_is_refused() -> None:
 def test_the_second_half_of_the_exposure_moves_what_stands_and_what_drives(turn_rad: float) -> None:
     """Against OpenCV's Rodrigues formula and poses multiplied one by one."""
     rng = np.random.default_rng(3)
-    start = cv2.Rodrigues(rng.normal(size=3))[0]
+    start = np.asarray(cv2.Rodrigues(rng.normal(size=3))[0], np.float64)
     turn = turn_rad * np.array([0.36, -0.48, 0.8])
-    end, half = (start @ cv2.Rodrigues(share * turn)[0] for share in (1.0, 0.5))
+    end, half = (start @ np.asarray(cv2.Rodrigues(share * turn)[0], np.float64) for share in (1.0, 0.5))
     start_m, end_m = rng.normal(size=(2, 3))
     vehicle = VehicleState("suv", 1, 10.0, -4.0, 0.6, 12.0, 0.5)
     states = moving_states([vehicle])

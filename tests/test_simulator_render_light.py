@@ -11,10 +11,11 @@ from mixo_env.simulator.furniture import LAMP_M
 from mixo_env.simulator.lamps import add_glare, light_window
 from mixo_env.simulator.mesh import GROUND, Surface, quad
 from mixo_env.simulator.render import Renderer
-from mixo_env.simulator.sampling import add_texels, even_cells, read_grain
+from mixo_env.simulator.sampling import Size, Walk, add_texels, even_cells, read_grain
 from mixo_env.simulator.shadows import EXTENT_M, FIELD_TEXELS_PER_M, PICTURE_TEXELS_PER_M, Shadows
 from mixo_env.simulator.textures import Atlas, rgba, spectral_noise
 from mixo_env.simulator.vehicles import VehicleState
+from mixo_env.simulator.views import View
 from mixo_env.simulator.world import grain_levels, lamp_light
 from tests.tiny_world import FLAT, SUN, camera, plain_texture, pose, surface, world_of
 
@@ -154,14 +155,15 @@ def test_spray_hides_part_of_a_wall_behind_a_fast_vehicle() -> None:
         np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]]),
     )
     fast, slow = np.array([[20.0, 0.0, 0.0, 15.0, 0.0]]), np.array([[20.0, 0.0, 0.0, 1.0, 0.0]])
-    puffs = spray_puffs(fast, truck, looking_along_x, np.array([0.0, 0.0, 1.5]), 1.0)
+    view = View(looking_along_x, np.array([0.0, 0.0, 1.5]), 100.0, 100.0, 80.0, 45.0, far_m=100.0)
+    puffs = spray_puffs(fast, truck, view, 1.0)
     assert (np.diff(puffs[:, 2]) <= 0.0).all()
     assert puffs[:, 2].max() < 20.0
-    assert len(spray_puffs(slow, truck, looking_along_x, np.zeros(3), 1.0)) == 0
-    clouds, lens = np.full((512, 512), 128, np.uint8), np.array([100.0, 100.0, 80.0, 45.0])
+    assert len(spray_puffs(slow, truck, view, 1.0)) == 0
+    clouds = np.full((512, 512), 128, np.uint8)
     for depth, touched in ((1.0 / 60.0, True), (1.0 / 3.0, False)):  # behind the puffs, before them
         radiance = np.zeros((90, 160), np.int64)
-        add_spray(radiance, np.full((90, 160), depth, np.float32), puffs, lens, clouds, 1000)
+        add_spray(radiance, np.full((90, 160), depth, np.float32), puffs, view, clouds, 1000)
         assert radiance.any() == touched
         assert radiance.max() <= 1000
 
@@ -204,7 +206,7 @@ def test_grain_is_interpolated_between_four_texels_and_repeats() -> None:
         (3.25, 2.0, 0.75 * tile[2, 3] + 0.25 * tile[2, 4]),
         (7.5, -0.5, 0.25 * (float(tile[7, 7]) + tile[7, 0] + tile[0, 7] + tile[0, 0])),  # around both edges
     ):
-        read_grain(tiles, 3, int(u * 65536), int(v * 65536), 65536, 0, where, out)
+        read_grain(tiles, 3, Walk(int(u * 65536), int(v * 65536), 65536, 0), where, out)
         assert out[0] == 256.0 * wanted
         if u == 3.0:
             assert np.array_equal(out, 256.0 * np.roll(tile[2], -3))
@@ -215,11 +217,11 @@ def test_texture_is_interpolated_between_four_texels_and_repeats() -> None:
     texels = image.view(np.uint32).ravel()
     where = np.empty((6, 32), np.int32)
     for u, v in ((3.25, 2.5), (7.5, 3.75), (-0.75, -1.0), (4000.5, 1.25)):
-        start = int(u * 65536), int(v * 65536), 3 * 65536 // 2, -65536
+        walk = Walk(int(u * 65536), int(v * 65536), 3 * 65536 // 2, -65536)
         even, odd = np.ones(8, np.uint32), np.zeros(8, np.uint32)
-        add_texels(texels, (3, 7, 3), *start, where, np.uint32(0xFFFFFFFF), even, odd)
+        add_texels(texels, Size(3, 7, 3), walk, where, np.uint32(0xFFFFFFFF), even, odd)
         fresh_even, fresh_odd = np.full((2, 8), 77, np.uint32)  # what was there before is dropped
-        add_texels(texels, (3, 7, 3), *start, where, np.uint32(0), fresh_even, fresh_odd)
+        add_texels(texels, Size(3, 7, 3), walk, where, np.uint32(0), fresh_even, fresh_odd)
         assert np.array_equal(fresh_even + 1, even)
         assert np.array_equal(fresh_odd, odd)
         for i in range(8):

@@ -119,7 +119,7 @@ def find_groups(
         stop = first + _visible_groups(patches.groups, view, shape, rest)
         order[first:stop] = first + np.argsort(found.nearest[first:stop], kind="mergesort")
         for i in range(first, stop):
-            slots += patches.group_start[found.number[i] + 1] - patches.group_start[found.number[i]]
+            slots += int(patches.group_start[found.number[i] + 1] - patches.group_start[found.number[i]])
         bounds[n + 1] = stop
     return slots
 

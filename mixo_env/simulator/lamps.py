@@ -81,9 +81,9 @@ def _bright(radiance: Int64s, threshold: int, cells: Float32s) -> None:
 @inlined
 def _between(cells: Float32s, i: int, j: int, channel: int, b: float) -> tuple[float, float]:
     """Value on the left of a cell at height ``b`` (0..1), and how much more there is on its right."""
-    b, rest = float32(b), float32(1.0 - b)
-    left = cells[i, j, channel] * rest + cells[i + 1, j, channel] * b
-    return left, cells[i, j + 1, channel] * rest + cells[i + 1, j + 1, channel] * b - left
+    lower, upper = float32(b), float32(1.0 - b)
+    left = cells[i, j, channel] * upper + cells[i + 1, j, channel] * lower
+    return left, cells[i, j + 1, channel] * upper + cells[i + 1, j + 1, channel] * lower - left
 
 
 @compiled_unchecked
@@ -126,4 +126,4 @@ def add_glare(radiance: NDArray[np.int64], threshold: float, share: float) -> No
     cells *= share / _CELL**2
     # Most of it stays near (lens), the rest reaches far (air).
     halo = 0.6 * cv2.GaussianBlur(cells, (0, 0), 1.2) + 0.4 * cv2.GaussianBlur(cells, (0, 0), 5.0)
-    _add(radiance, halo)
+    _add(radiance, halo.astype(np.float32, copy=False))

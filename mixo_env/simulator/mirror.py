@@ -110,7 +110,7 @@ class Shown(NamedTuple):
 
 
 @inlined
-def mixed(first: int, second: int, share: int) -> int:
+def mixed(first: int, second: int, share: int | np.int64) -> int:
     """Packed radiance: share / 255 of the second, the rest of the first."""
     keep = share ^ 255  # written so that the compiler sees factors of 32 bits: SIMD multiplies those at once
     red, green, blue = first & _FIELD, first >> 21 & _FIELD, first >> 42 & _FIELD
@@ -178,7 +178,7 @@ def _claim(bits: Int32s, carried: Carried, images: Int64s) -> None:
 
 
 @inlined
-def _take(images: Int64s, two_rows: int, shown: Int32s) -> int:
+def _take(images: Int64s, two_rows: int, shown: Int32s) -> np.int32:
     """What the cells of a run show: what claimed them, else what is two rows over what the cell above shows.
 
     ``shown`` holds what the cells above show, -1 for nothing, and takes the result. Returns the largest.

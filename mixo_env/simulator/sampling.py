@@ -141,7 +141,7 @@ def read_grain(tile: UInt32s, log: int, walk: Walk, where: Int32s, out: Float32s
 
 
 @inlined
-def bytes_at(image: UInt8s, mask: int, u: int, v: int) -> int:
+def bytes_at(image: UInt8s, mask: int, u: int, v: int) -> np.int64:
     """One channel of a square repeating image of bytes at (u, v) in 1/65536 texels; 0..255 * 65536."""
     a, b = (u >> 8) & 255, (v >> 8) & 255
     u0, v0 = (u >> 16) & mask, (v >> 16) & mask
