@@ -29,7 +29,7 @@ from mixo_env.recordings.vehicles import training_constants
 from mixo_env.recordings.vocabularies import Retrained, retrain
 from mixo_env.simulator.config import SimulationConfig
 from mixo_env.simulator.dataset import simulate
-from mixo_env.simulator.scenario import LOCATION, plan_logs
+from mixo_env.simulator.drive.scenario import LOCATION, plan_logs
 
 logger = logging.getLogger(__name__)
 

@@ -38,9 +38,9 @@ from mixo_env.errors import ConfigurationError, DatasetError
 from mixo_env.geometry import quaternion_wxyz_from_yaw
 from mixo_env.leaderboard.firing_order import best_shares
 from mixo_env.nuscenes.scene import CameraCalibration
-from mixo_env.simulator.render import CameraPose
-from mixo_env.simulator.streets import BLOCK_M
-from mixo_env.simulator.vehicles import VehicleState
+from mixo_env.simulator.city.streets import BLOCK_M
+from mixo_env.simulator.city.vehicles import VehicleState
+from mixo_env.simulator.picture.render import CameraPose
 from tests.synthetic import synthetic_recordings
 
 REAL = os.environ.get("MIXO_REAL_DATA")

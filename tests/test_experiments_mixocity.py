@@ -16,8 +16,8 @@ from mixo_env.nuscenes.selections import CAMERAS
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.folds import FOLDS, OUT_OF_DISTRIBUTION
 from mixo_env.recordings.store import load_recordings
-from mixo_env.simulator.scenario import plan_logs
-from mixo_env.simulator.scenes import scene_drive
+from mixo_env.simulator.drive.scenario import plan_logs
+from mixo_env.simulator.drive.scenes import scene_drive
 from tests.synthetic import synthetic_recordings
 
 

@@ -34,7 +34,7 @@ from mixo_env.experts.expert import CameraStep, State
 from mixo_env.experts.monocular.camera import mount
 from mixo_env.experts.monocular.config import MonocularConfig
 from mixo_env.experts.monocular.pair import PairSolver
-from mixo_env.simulator.vehicles import VEHICLE_KINDS, VehicleState
+from mixo_env.simulator.city.vehicles import VEHICLE_KINDS, VehicleState
 from tests.corridor import AXES, HEIGHT, WIDTH, calibration, picture
 from tests.rigid_body import camera_displacement
 

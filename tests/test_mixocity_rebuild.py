@@ -18,8 +18,8 @@ from mixo_env.recordings.record import RecordConfig, default_experts
 from mixo_env.recordings.steps import record_scene
 from mixo_env.recordings.store import load_recordings
 from mixo_env.simulator.dataset import JPEG_QUALITY, _renderer, simulate
-from mixo_env.simulator.scenario import plan_logs
-from mixo_env.simulator.scenes import pictures, simulate_scene
+from mixo_env.simulator.drive.scenario import plan_logs
+from mixo_env.simulator.drive.scenes import pictures, simulate_scene
 
 SCENE, CAMERA, IMAGES = "scene-2006", "CAM_FRONT", 120
 

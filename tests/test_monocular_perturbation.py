@@ -18,8 +18,8 @@ from mixo_env.nuscenes.scene import CanBus, Scene, Signal
 from mixo_env.nuscenes.writer import write_can_bus
 from mixo_env.recordings.steps import Columns, Experts, record_scene
 from mixo_env.simulator.config import SimulationConfig
-from mixo_env.simulator.scenario import plan_logs
-from mixo_env.simulator.scenes import simulate_scene
+from mixo_env.simulator.drive.scenario import plan_logs
+from mixo_env.simulator.drive.scenes import simulate_scene
 from tests.corridor import HEIGHT, WIDTH, picture
 
 CAMERAS = ("CAM_FRONT", "CAM_BACK_RIGHT")

@@ -18,8 +18,8 @@ from mixo_env.recordings.pose_lag_fit import LARGEST_STD_S, PoseLag, fit_pose_la
 from mixo_env.recordings.store import load_recordings
 from mixo_env.recordings.vehicles import fit_vehicle_constants, training_constants, with_held_out_constants
 from mixo_env.simulator.config import SimulationConfig
-from mixo_env.simulator.localisation import LAG_RANGE_S
-from mixo_env.simulator.scenario import plan_logs
+from mixo_env.simulator.drive.localisation import LAG_RANGE_S
+from mixo_env.simulator.drive.scenario import plan_logs
 from tests.late_poses import CAMERAS, late_recordings
 
 OWN = tuple(f"{camera}.own_window_yaw_increment_rad" for camera in CAMERAS)

@@ -17,11 +17,11 @@ from mixo_env.nuscenes.scene import CameraCalibration
 from mixo_env.nuscenes.selections import ALL_CAMERAS, CAMERAS
 from mixo_env.nuscenes.tables import open_dataset
 from mixo_env.simulator import dataset
+from mixo_env.simulator.city.streets import BLOCK_M
 from mixo_env.simulator.config import SimulationConfig, SituationShares
 from mixo_env.simulator.dataset import simulate
-from mixo_env.simulator.scenario import plan_logs
-from mixo_env.simulator.scenes import blank_sides, camera_pose, scene_drive, simulate_scene
-from mixo_env.simulator.streets import BLOCK_M
+from mixo_env.simulator.drive.scenario import plan_logs
+from mixo_env.simulator.drive.scenes import blank_sides, camera_pose, scene_drive, simulate_scene
 
 TINY = SimulationConfig(scenes=5, scenes_per_log=2, seconds=4, images=False)
 

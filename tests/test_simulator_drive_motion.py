@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from mixo_env.simulator.config import SituationShares
-from mixo_env.simulator.drive import DRIVE_RATE_HZ, MARGIN_S, Drive, plan_drive
-from mixo_env.simulator.localisation import localise
+from mixo_env.simulator.drive.drive import DRIVE_RATE_HZ, MARGIN_S, Drive, plan_drive
+from mixo_env.simulator.drive.localisation import localise
 
 COURSE_OFFSET_RAD = np.radians(-0.5)
 SITUATIONS = ("ordinary", *SituationShares().by_name())

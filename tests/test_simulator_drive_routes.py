@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mixo_env.simulator.routes import LEFT, MAX_OFFSET_M, PASSING_M, RIGHT, STEP_M, STRAIGHT, Route, plan_route
-from mixo_env.simulator.streets import BLOCK_M, HALF_CITY_BLOCKS, HALF_ROAD_M, LANE_M, SIDEWALK_M
-from mixo_env.simulator.traffic import CAR_WIDTH_M, REAR_AXLE_TO_FRONT_M, REAR_AXLE_TO_REAR_M
+from mixo_env.simulator.city.streets import BLOCK_M, HALF_CITY_BLOCKS, HALF_ROAD_M, LANE_M, SIDEWALK_M
+from mixo_env.simulator.drive.routes import LEFT, MAX_OFFSET_M, PASSING_M, RIGHT, STEP_M, STRAIGHT, Route, plan_route
+from mixo_env.simulator.drive.traffic import CAR_WIDTH_M, REAR_AXLE_TO_FRONT_M, REAR_AXLE_TO_REAR_M
 
 
 def routes(count: int = 40) -> list[Route]:

@@ -8,10 +8,10 @@ import pytest
 from mixo_env.geometry import yaw_from_quaternion_wxyz
 from mixo_env.nuscenes.selections import ALL_CAMERAS, CAMERA_OFFSET_US
 from mixo_env.simulator import rig as rigs
-from mixo_env.simulator.clock import MAX_STAMP_ERROR_US, scene_times
-from mixo_env.simulator.drive import plan_drive
-from mixo_env.simulator.localisation import localise
-from mixo_env.simulator.vehicle_bus import RPM_RESOLUTION, bus_messages, draw_sensors
+from mixo_env.simulator.drive.clock import MAX_STAMP_ERROR_US, scene_times
+from mixo_env.simulator.drive.drive import plan_drive
+from mixo_env.simulator.drive.localisation import localise
+from mixo_env.simulator.drive.vehicle_bus import RPM_RESOLUTION, bus_messages, draw_sensors
 
 START_US = 1_715_000_000_000_000
 

@@ -9,11 +9,11 @@ from pathlib import Path
 import pytest
 
 from docs._pages.data_sheet import motion
-from mixo_env.simulator.clock import scene_times
 from mixo_env.simulator.config import SimulationConfig
-from mixo_env.simulator.localisation import localise
-from mixo_env.simulator.scenario import generator, plan_logs
-from mixo_env.simulator.scenes import scene_drive
+from mixo_env.simulator.drive.clock import scene_times
+from mixo_env.simulator.drive.localisation import localise
+from mixo_env.simulator.drive.scenario import generator, plan_logs
+from mixo_env.simulator.drive.scenes import scene_drive
 
 # Quantity -> percentile, or name of a share, -> quantile of 135 real scenes and the band around it. Bands allow for the
 # chance of 104 scenes, and for what is known to differ: quarter turns end at 90 degrees, five scenes are staged at

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from mixo_env.simulator.city.streets import BLOCK_M, LANE_M
 from mixo_env.simulator.config import SituationShares
-from mixo_env.simulator.drive import Drive, plan_drive
-from mixo_env.simulator.streets import BLOCK_M, LANE_M
-from mixo_env.simulator.traffic import (
+from mixo_env.simulator.drive.drive import Drive, plan_drive
+from mixo_env.simulator.drive.traffic import (
     CAR_LENGTH_M,
     CAR_WIDTH_M,
     REAR_AXLE_TO_FRONT_M,

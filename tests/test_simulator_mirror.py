@@ -9,9 +9,9 @@ import pytest
 from numpy.typing import NDArray
 
 from mixo_env.geometry import rotation_from_yaw
-from mixo_env.simulator.mesh import GROUND, SHADE, SOLID
-from mixo_env.simulator.mirror import mirror_road
-from mixo_env.simulator.views import Seen, View
+from mixo_env.simulator.city.mesh import GROUND, SHADE, SOLID
+from mixo_env.simulator.picture.mirror import mirror_road
+from mixo_env.simulator.picture.views import Seen, View
 
 LENS = np.array([150.0, 150.0, 80.2, 45.3])
 POSITION = np.array([3.0, -2.0, 1.5])

@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 
 from mixo_env.errors import ConfigurationError
 from mixo_env.geometry import rotation_from_yaw
-from mixo_env.simulator.fleet import Fleet, body_motions, moving_states
-from mixo_env.simulator.mesh import GROUND, SHADE, PatchSet, placed
-from mixo_env.simulator.render import Renderer
-from mixo_env.simulator.streets import BLOCK_M, HALF_ROAD_M, LANE_M
-from mixo_env.simulator.vehicles import COLOURS, VEHICLE_KINDS, VehicleState
-from mixo_env.simulator.weather import WEATHERS
-from mixo_env.simulator.world import World, build_world
+from mixo_env.simulator.city.mesh import GROUND, SHADE, PatchSet, placed
+from mixo_env.simulator.city.streets import BLOCK_M, HALF_ROAD_M, LANE_M
+from mixo_env.simulator.city.vehicles import COLOURS, VEHICLE_KINDS, VehicleState
+from mixo_env.simulator.city.world import World, build_world
+from mixo_env.simulator.picture.fleet import Fleet, body_motions, moving_states
+from mixo_env.simulator.picture.render import Renderer
+from mixo_env.simulator.picture.weather import WEATHERS
 from tests.tiny_world import camera, pose
 
 small_world = partial(build_world, half_blocks=1, variety=2, ground_side=512)

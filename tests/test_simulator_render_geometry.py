@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from mixo_env.errors import ConfigurationError
-from mixo_env.simulator.exposure import during_exposure
-from mixo_env.simulator.fleet import body_motions, moving_states
-from mixo_env.simulator.mesh import CUT_OUT, TWO_SIDED, Patch, quad
-from mixo_env.simulator.render import CameraPose, Renderer
-from mixo_env.simulator.textures import rgba
-from mixo_env.simulator.vehicles import VehicleState
+from mixo_env.simulator.city.mesh import CUT_OUT, TWO_SIDED, Patch, quad
+from mixo_env.simulator.city.textures import rgba
+from mixo_env.simulator.city.vehicles import VehicleState
+from mixo_env.simulator.picture.exposure import during_exposure
+from mixo_env.simulator.picture.fleet import body_motions, moving_states
+from mixo_env.simulator.picture.render import CameraPose, Renderer
 from tests.tiny_world import CHANNELS, FLAT, camera, cast, plain_texture, pose, surface, world_of
 
 WHITE, RED, BLUE = plain_texture(255, 255, 255), plain_texture(255, 0, 0), plain_texture(0, 0, 255)

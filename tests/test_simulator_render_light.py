@@ -7,16 +7,16 @@ import dataclasses
 import numpy as np
 import pytest
 
-from mixo_env.simulator.furniture import LAMP_M
-from mixo_env.simulator.lamps import add_glare, light_window
-from mixo_env.simulator.mesh import GROUND, Surface, quad
-from mixo_env.simulator.render import Renderer
-from mixo_env.simulator.sampling import Size, Walk, add_texels, even_cells, read_grain
-from mixo_env.simulator.shadows import EXTENT_M, FIELD_TEXELS_PER_M, PICTURE_TEXELS_PER_M, Shadows
-from mixo_env.simulator.textures import Atlas, rgba, spectral_noise
-from mixo_env.simulator.vehicles import VehicleState
-from mixo_env.simulator.views import View
-from mixo_env.simulator.world import grain_levels, lamp_light
+from mixo_env.simulator.city.furniture import LAMP_M
+from mixo_env.simulator.city.mesh import GROUND, Surface, quad
+from mixo_env.simulator.city.shadows import EXTENT_M, FIELD_TEXELS_PER_M, PICTURE_TEXELS_PER_M, Shadows
+from mixo_env.simulator.city.textures import Atlas, rgba, spectral_noise
+from mixo_env.simulator.city.vehicles import VehicleState
+from mixo_env.simulator.city.world import grain_levels, lamp_light
+from mixo_env.simulator.picture.lamps import add_glare, light_window
+from mixo_env.simulator.picture.render import Renderer
+from mixo_env.simulator.picture.sampling import Size, Walk, add_texels, even_cells, read_grain
+from mixo_env.simulator.picture.views import View
 from tests.tiny_world import FLAT, SUN, camera, plain_texture, pose, surface, world_of
 
 HOUSE = np.array([(0.0, 0.0), (10.0, 0.0), (10.0, 20.0), (0.0, 20.0)])
@@ -148,7 +148,7 @@ def test_wet_ground_sends_back_half_the_light(wetness: float) -> None:
 
 
 def test_spray_hides_part_of_a_wall_behind_a_fast_vehicle() -> None:
-    from mixo_env.simulator.rain import add_spray, spray_puffs
+    from mixo_env.simulator.picture.rain import add_spray, spray_puffs
 
     truck, looking_along_x = (
         np.array([[8.6, 2.5, 3.5]]),

@@ -10,12 +10,12 @@ from numpy.typing import NDArray
 
 from mixo_env.geometry import rotation_from_yaw
 from mixo_env.nuscenes.scene import CameraCalibration
-from mixo_env.simulator.mesh import Patch, Surface, mesh_of, packed
-from mixo_env.simulator.render import CameraPose
-from mixo_env.simulator.rig import nominal_calibration
-from mixo_env.simulator.textures import Atlas, Bytes, rgba
-from mixo_env.simulator.weather import Weather
-from mixo_env.simulator.world import World, grain_levels
+from mixo_env.simulator.city.mesh import Patch, Surface, mesh_of, packed
+from mixo_env.simulator.city.textures import Atlas, Bytes, rgba
+from mixo_env.simulator.city.world import World, grain_levels
+from mixo_env.simulator.drive.rig import nominal_calibration
+from mixo_env.simulator.picture.render import CameraPose
+from mixo_env.simulator.picture.weather import Weather
 
 SUN = np.array([0.6, 0.0, 0.8])
 

@@ -34,8 +34,8 @@ from mixo_env.experts.monocular.pair import PairSolver
 from mixo_env.files import write_text
 from mixo_env.nuscenes.scene import CameraCalibration
 from mixo_env.nuscenes.selections import CAMERAS
+from mixo_env.simulator.city.vehicles import VEHICLE_KINDS, VehicleState
 from mixo_env.simulator.config import SimulationConfig
-from mixo_env.simulator.vehicles import VEHICLE_KINDS, VehicleState
 
 DOCS = Path(__file__).parents[1]
 SHOWN = SimulationConfig(scenes=1, seconds=4, seed=50, rain=0.0, night=0.0, low_texture=0.0)
@@ -145,8 +145,8 @@ def inside(points_px: NDArray[np.float64], outlines: Sequence[NDArray[np.float32
 def simulated(folder: Path, config: MonocularConfig) -> tuple[list[PairView], list[Track]]:
     """Simulate the short scene; its pairs with what moves marked, and its tracks."""
     from mixo_env.simulator.dataset import simulate
-    from mixo_env.simulator.scenario import plan_logs
-    from mixo_env.simulator.scenes import camera_pose, simulate_scene
+    from mixo_env.simulator.drive.scenario import plan_logs
+    from mixo_env.simulator.drive.scenes import camera_pose, simulate_scene
 
     simulate(SHOWN, folder)
     (log,) = plan_logs(SHOWN)

@@ -27,10 +27,10 @@ from numpy.typing import NDArray
 
 from experiments.speed.rendering import TOUR, camera_pose, traffic
 from mixo_env.nuscenes.selections import ALL_CAMERAS
-from mixo_env.simulator.render import CameraPose, Renderer
-from mixo_env.simulator.rig import nominal_calibration
-from mixo_env.simulator.vehicles import VehicleState
-from mixo_env.simulator.world import build_world
+from mixo_env.simulator.city.vehicles import VehicleState
+from mixo_env.simulator.city.world import build_world
+from mixo_env.simulator.drive.rig import nominal_calibration
+from mixo_env.simulator.picture.render import CameraPose, Renderer
 
 LARGE = (800, 450)
 SIZES = ((400, 225), (333, 187), LARGE)

@@ -23,11 +23,11 @@ from numpy.typing import NDArray
 
 from mixo_env.geometry import rotation_from_yaw
 from mixo_env.nuscenes.scene import CameraCalibration
-from mixo_env.simulator.render import CameraPose, Renderer
-from mixo_env.simulator.rig import FULL_HEIGHT, FULL_WIDTH, nominal_calibration
-from mixo_env.simulator.streets import BLOCK_M, LANE_M
-from mixo_env.simulator.vehicles import COLOURS, VehicleState
-from mixo_env.simulator.world import build_world
+from mixo_env.simulator.city.streets import BLOCK_M, LANE_M
+from mixo_env.simulator.city.vehicles import COLOURS, VehicleState
+from mixo_env.simulator.city.world import build_world
+from mixo_env.simulator.drive.rig import FULL_HEIGHT, FULL_WIDTH, nominal_calibration
+from mixo_env.simulator.picture.render import CameraPose, Renderer
 
 CHANNELS = ("CAM_FRONT", "CAM_FRONT_LEFT", "CAM_BACK_RIGHT", "CAM_BACK")
 SPEED_MPS = 7.0

@@ -22,11 +22,11 @@ from mixo_env.files import write_bytes
 from mixo_env.nuscenes.scene import ExactPoses
 from mixo_env.nuscenes.writer import scene_tables, write_can_bus, write_json, write_tables
 from mixo_env.simulator.config import SimulationConfig
-from mixo_env.simulator.scenario import LogPlan, ScenePlan, plan_logs
-from mixo_env.simulator.scenes import blank_sides, pictures, simulate_scene
+from mixo_env.simulator.drive.scenario import LogPlan, ScenePlan, plan_logs
+from mixo_env.simulator.drive.scenes import blank_sides, pictures, simulate_scene
 
 if TYPE_CHECKING:
-    from mixo_env.simulator.render import Renderer
+    from mixo_env.simulator.picture.render import Renderer
 
 VERSION = "v1.0-mixo"
 """Name of the table folder."""
@@ -128,8 +128,8 @@ def _simulate_log(config: SimulationConfig, log: LogPlan, plans: Sequence[SceneP
 
 def _renderer(config: SimulationConfig, log: LogPlan) -> Renderer:
     """The log's city in its weather."""
-    from mixo_env.simulator.render import Renderer
-    from mixo_env.simulator.world import build_world
+    from mixo_env.simulator.city.world import build_world
+    from mixo_env.simulator.picture.render import Renderer
 
     walls: dict[str, Any] = {"grain": 0.4, "blank_walls": 0.5} if log.low_texture else {}
     world = build_world(log.world_seed, blank_sides=blank_sides(config, log), **walls)

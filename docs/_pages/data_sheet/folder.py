@@ -13,8 +13,8 @@ import numpy as np
 from mixo_env.errors import DatasetError
 from mixo_env.nuscenes.tables import Dataset, open_dataset
 from mixo_env.simulator.config import SimulationConfig
-from mixo_env.simulator.scenario import LogPlan, ScenePlan, plan_logs
-from mixo_env.simulator.scenes import SimulatedScene, simulate_scene
+from mixo_env.simulator.drive.scenario import LogPlan, ScenePlan, plan_logs
+from mixo_env.simulator.drive.scenes import SimulatedScene, simulate_scene
 
 
 @dataclass(frozen=True)

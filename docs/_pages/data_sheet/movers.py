@@ -15,12 +15,12 @@ from docs._pages.data_sheet.images import match_pair, scaled_intrinsic
 from experiments.picture_statistics import read_gray
 from mixo_env.geometry import FloatArray
 from mixo_env.nuscenes.scene import CameraCalibration
-from mixo_env.simulator.render import CameraPose
-from mixo_env.simulator.scenario import LogPlan, ScenePlan
-from mixo_env.simulator.scenes import SimulatedScene, camera_pose
-from mixo_env.simulator.streets import BLOCK_M, SIDEWALK_M
-from mixo_env.simulator.vehicles import VEHICLE_KINDS, VehicleState
-from mixo_env.simulator.weather import weather_named
+from mixo_env.simulator.city.streets import BLOCK_M, SIDEWALK_M
+from mixo_env.simulator.city.vehicles import VEHICLE_KINDS, VehicleState
+from mixo_env.simulator.drive.scenario import LogPlan, ScenePlan
+from mixo_env.simulator.drive.scenes import SimulatedScene, camera_pose
+from mixo_env.simulator.picture.render import CameraPose
+from mixo_env.simulator.picture.weather import weather_named
 
 MOVING_MPS = 0.5
 """Slower vehicles count as part of the street."""

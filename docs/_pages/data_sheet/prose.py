@@ -15,7 +15,7 @@ HOW_MADE = """## How it was made
 `make mixocity` does everything, resumable; stage by stage it is `python -m experiments.mixocity`. In short:
 
 1. **Plan.** A configuration and a seed decide logs, weather, rigs, sensors and situations before anything is driven
-   (`mixo_env/simulator/scenario.py`). Equal configurations give equal files, whatever the number of workers.
+   (`mixo_env/simulator/drive/scenario.py`). Equal configurations give equal files, whatever the number of workers.
 2. **Drive.** A route through a street grid, a speed profile within limits of acceleration and jerk, a body that
    pitches, rolls, heaves and slips, and other vehicles around it (`drive`, `routes`, `traffic`).
 3. **Sense.** CAN messages with the noise, bias, latency and gaps of the real car (`vehicle_bus`), written poses

@@ -16,7 +16,7 @@ from docs._pages.data_sheet.motion import Path as Way
 from docs._pages.data_sheet.movers import EVERY, MoverShares, Sight, matched_sight, scene_sights
 from experiments.picture_statistics import read_gray
 from mixo_env.nuscenes.tables import open_dataset
-from mixo_env.simulator.scenario import LogPlan, ScenePlan
+from mixo_env.simulator.drive.scenario import LogPlan, ScenePlan
 
 STRIP = ("CAM_FRONT_LEFT", "CAM_FRONT", "CAM_FRONT_RIGHT", "CAM_BACK_RIGHT", "CAM_BACK", "CAM_BACK_LEFT")
 """Two rows as the car sees them: ahead, and behind (seen from the driver's seat, right is left)."""

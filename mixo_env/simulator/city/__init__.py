@@ -1,0 +1,1 @@
+"""The city: streets, houses, trees, parked cars and their textures, as patches."""

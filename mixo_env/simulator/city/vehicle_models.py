@@ -1,0 +1,295 @@
+"""How vehicles look: a profile drawn out over the width, with painted sides."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from mixo_env.simulator.city.mesh import CUT_OUT, SHADE, TWO_SIDED, Mesh, Surface, mesh_of, quad
+from mixo_env.simulator.city.textures import WORDS, Atlas, Bytes, Floats, plain, rgba, spectral_noise, write
+from mixo_env.simulator.city.vehicles import COLOURS, VEHICLE_KINDS
+
+_PAINTS = np.array(
+    [
+        (212, 214, 215),
+        (38, 39, 42),
+        (150, 153, 157),
+        (128, 24, 24),
+        (38, 62, 130),
+        (96, 99, 104),
+        (236, 237, 236),
+        (52, 74, 62),
+        (168, 158, 136),
+        (214, 170, 40),
+    ],
+    np.float32,
+)
+assert len(_PAINTS) == COLOURS
+
+
+@dataclass(frozen=True)
+class _Shape:
+    """Profile from rear bottom over the roof to front bottom, a word per segment; windows and wheels of the side."""
+
+    profile: tuple[tuple[float, float], ...]
+    parts: tuple[str, ...]
+    windows: tuple[tuple[tuple[float, float], ...], ...]
+    axles: tuple[float, ...]
+    wheel_m: float
+
+
+_SHAPES = {
+    "sedan": _Shape(
+        (
+            (-2.25, 0.3),
+            (-2.2, 0.98),
+            (-1.6, 1.02),
+            (-0.95, 1.41),
+            (0.3, 1.45),
+            (1.05, 1.0),
+            (2.05, 0.84),
+            (2.22, 0.66),
+            (2.25, 0.28),
+        ),
+        ("rear", "roof", "glass", "roof", "screen", "hood", "hood", "front"),
+        (
+            ((-1.45, 1.0), (-0.9, 1.34), (-0.25, 1.37), (-0.25, 1.0)),
+            ((-0.17, 1.0), (-0.17, 1.37), (0.26, 1.37), (0.85, 1.0)),
+        ),
+        (-1.35, 1.35),
+        0.32,
+    ),
+    "suv": _Shape(
+        (
+            (-2.35, 0.36),
+            (-2.35, 0.98),
+            (-2.25, 1.1),
+            (-1.98, 1.66),
+            (-1.6, 1.72),
+            (0.4, 1.70),
+            (1.12, 1.14),
+            (2.12, 1.02),
+            (2.32, 0.82),
+            (2.35, 0.36),
+        ),
+        ("rear", "roof", "glass", "roof", "roof", "screen", "hood", "hood", "front"),
+        (
+            ((-2.0, 1.14), (-1.8, 1.58), (-1.3, 1.62), (-1.3, 1.14)),
+            ((-1.2, 1.14), (-1.2, 1.62), (-0.3, 1.62), (-0.3, 1.14)),
+            ((-0.2, 1.14), (-0.2, 1.62), (0.36, 1.6), (0.92, 1.14)),
+        ),
+        (-1.4, 1.42),
+        0.37,
+    ),
+    "van": _Shape(
+        (
+            (-2.7, 0.36),
+            (-2.7, 1.35),
+            (-2.66, 2.2),
+            (-2.5, 2.4),
+            (1.15, 2.4),
+            (1.3, 2.34),
+            (1.95, 1.34),
+            (2.5, 1.16),
+            (2.68, 0.9),
+            (2.7, 0.34),
+        ),
+        ("rear", "glass", "roof", "roof", "roof", "screen", "hood", "hood", "front"),
+        (((0.3, 1.35), (0.3, 2.1), (1.2, 2.1), (1.7, 1.35)),),
+        (-1.75, 1.75),
+        0.36,
+    ),
+    "truck": _Shape(
+        ((-4.3, 0.55), (-4.3, 3.5), (2.3, 3.5), (2.35, 2.85), (3.75, 2.85), (4.18, 1.6), (4.3, 0.45)),
+        ("doors", "roof", "roof", "roof", "screen", "front"),
+        (((3.0, 1.65), (3.0, 2.55), (3.7, 2.55), (3.98, 1.65)),),
+        (-2.9, -1.75, 3.2),
+        0.5,
+    ),
+}
+
+
+def _side(rng: np.random.Generator, kind: str, paint: NDArray[np.float32]) -> tuple[Bytes, float]:
+    """Picture of the left side (front to the left as seen by the viewer), 512 texels long, and its texels per metre."""
+    shape, size = _SHAPES[kind], VEHICLE_KINDS[kind]
+    per_m = 512.0 / size.length_m
+    height = 256
+
+    def texels(points: tuple[tuple[float, float], ...]) -> NDArray[np.int32]:
+        column = (0.5 * size.length_m - np.array(points)[:, 0]) * per_m
+        row = (size.height_m - np.array(points)[:, 1]) * per_m
+        return (16 * np.stack([column, row], axis=1)).astype(np.int32)
+
+    def at(x: float, z: float) -> tuple[int, int]:
+        return int((0.5 * size.length_m - x) * per_m), int((size.height_m - z) * per_m)
+
+    rows = np.linspace(1.25, 0.62, height, dtype=np.float32)[:, None, None]
+    image: Floats = (
+        paint * np.broadcast_to(rows, (height, 512, 1)) + 1.5 * spectral_noise(height, 512, 1.0, rng)[..., None]
+    )
+    image = np.ascontiguousarray(image)
+    covered = np.zeros((height, 512), np.uint8)
+    cv2.fillPoly(covered, [texels(shape.profile)], 255, cv2.LINE_8, 4)
+    sill = at(0.0, 0.48 + 0.2 * (kind == "truck"))[1]
+    image[sill:] = 28.0
+    if kind == "truck":
+        cut = at(2.32, 0.0)[0]
+        image[: sill - 4, cut : cut + 4] = 20.0
+        box_colour = 235.0 * np.ones(3) if rng.random() < 0.6 else paint
+        image[:sill, cut + 4 :] = box_colour * rows[:sill]
+        for x in range(cut + 30, 512, 38):
+            image[:sill, x : x + 2] *= 0.88
+        band = rng.uniform(30, 220, 3)
+        image[90:106, cut + 4 :] = band
+        write(image, " ".join(str(word) for word in rng.choice(WORDS, 2)), (cut + 30, 78), 1.5, band, 4)
+    for window in shape.windows:
+        pane = texels(window)
+        cv2.fillPoly(image, [pane], (46.0, 54.0, 62.0), cv2.LINE_AA, 4)
+        cv2.polylines(image, [pane], True, (14.0, 14.0, 15.0), 3, cv2.LINE_AA, 4)
+        low, high = pane.min(axis=0) // 16, pane.max(axis=0) // 16
+        glare = np.zeros(image.shape[:2], np.uint8)
+        cv2.fillPoly(glare, [pane], 255, cv2.LINE_8, 4)
+        slant = ((np.arange(512)[None, :] + np.arange(height)[:, None]) % 90 < 26) & (glare > 0)
+        image[slant] += 38.0
+        if kind != "truck":
+            x = int(high[0]) + 3
+            image[int(low[1]) : sill - 6, x : x + 2] *= 0.35  # gap of the door
+            image[int(high[1]) + 8 : int(high[1]) + 12, x - 34 : x - 12] *= 0.45  # handle
+    if kind == "van":
+        cut = at(-0.1, 0.0)[0]
+        image[20:sill, cut : cut + 2] *= 0.4
+        if rng.random() < 0.6:
+            write(image, str(rng.choice(WORDS)), (at(-0.3, 0.0)[0], 120), 1.6, rng.uniform(0, 220, 3), 4)
+    head, tail = at(0.5 * size.length_m - 0.25, 0.72), at(-0.5 * size.length_m + 0.2, 0.9)
+    if kind != "truck":
+        cv2.ellipse(image, head, (22, 8), 8, 0, 360, (225.0, 232.0, 236.0), -1, cv2.LINE_AA)
+        cv2.rectangle(image, (tail[0], tail[1] - 12), (511, tail[1] + 10), (150.0, 22.0, 22.0), -1)
+    tyre = int(shape.wheel_m * per_m)
+    for axle in shape.axles:
+        hub = at(axle, shape.wheel_m)
+        cv2.circle(image, hub, int(1.18 * tyre), (10.0,) * 3, -1, cv2.LINE_AA)
+        cv2.circle(image, hub, tyre, (34.0, 34.0, 35.0), -1, cv2.LINE_AA)
+        cv2.circle(image, hub, int(0.64 * tyre), (150.0, 152.0, 155.0), -1, cv2.LINE_AA)
+        for spoke in np.arange(5) * 2.0 * np.pi / 5.0:
+            tip = (int(hub[0] + 0.6 * tyre * np.cos(spoke)), int(hub[1] + 0.6 * tyre * np.sin(spoke)))
+            cv2.line(image, hub, tip, (60.0, 60.0, 62.0), max(2, tyre // 6), cv2.LINE_AA)
+        cv2.circle(covered, hub, tyre, 255, -1)
+    return rgba(image, covered.astype(np.float32)), per_m
+
+
+def _end(rng: np.random.Generator, kind: str, paint: NDArray[np.float32], front: bool) -> Bytes:
+    """Picture of the front or the rear, 128 x 128, stretched over its segment; lamps shine at night."""
+    side = 128
+    image = paint * np.linspace(1.15, 0.7, side, dtype=np.float32)[:, None, None] * np.ones((1, side, 1), np.float32)
+    glow = np.zeros((side, side), np.float32)
+    lamp, strength = ((232, 238, 240), 255.0) if front else ((165, 18, 18), 90.0)
+    rows = slice(70, 96) if kind == "truck" else slice(10, 44)
+    wide = 12 if kind == "truck" else 26
+    for columns in (slice(5, 5 + wide), slice(side - 5 - wide, side - 5)):
+        image[rows, columns] = lamp
+        glow[rows, columns] = strength
+    if front:
+        image[18:58, 38:90] = 24.0
+        image[20:56:5, 38:90] = 90.0
+        cv2.circle(image, (64, 36), 6, (190.0,) * 3, -1, cv2.LINE_AA)
+    elif kind == "truck":
+        image[:64] = paint if rng.random() < 0.4 else 225.0
+        image[:, 62:66] = 40.0
+        for x in (24, 48, 80, 104):
+            image[6:60, x : x + 2] *= 0.5
+        write(image, str(rng.choice(WORDS))[:6], (14, 42), 0.9, rng.uniform(0, 160, 3), 2)
+        image[66:] *= 0.4
+        image[104:112, 4:124:12] = (220, 60, 20)
+    plate = slice(76, 94) if kind != "truck" else slice(108, 120)
+    image[92:] = np.minimum(image[92:], 60.0)
+    image[plate, 44:84] = 228.0
+    letters = "".join(chr(65 + int(c)) for c in rng.integers(0, 26, 4))
+    write(image, letters, (46, plate.stop - 4), 0.42, np.full(3, 15.0), 1)
+    image[112:, 8:28] = 12.0
+    image[112:, side - 28 : side - 8] = 12.0
+    return rgba(image, glow)
+
+
+def _glass(rng: np.random.Generator, side: int = 64) -> Bytes:
+    tone = np.linspace(118.0, 44.0, side)[:, None] + 9.0 * spectral_noise(side, side, 1.5, rng)
+    image = np.stack([0.92 * tone, tone, 1.1 * tone], axis=-1).astype(np.float32)
+    for edge in (image[:3], image[-3:], image[:, :3], image[:, -3:]):
+        edge[:] = 18.0
+    return rgba(image)
+
+
+def vehicle_models(
+    atlas: Atlas, rng: np.random.Generator, ground: int, ground_texels_per_m: float
+) -> dict[tuple[str, int], Mesh]:
+    """One mesh per (kind, colour): x forward, y left, z up, origin at the centre on the ground.
+
+    The last patch of each is the dark ground under the vehicle; it is re-textured when the vehicle is put somewhere
+    (:func:`ground_aligned`).
+    """
+    glass = atlas.add(_glass(rng))
+    models = {}
+    for kind, shape in _SHAPES.items():
+        half = 0.5 * VEHICLE_KINDS[kind].width_m
+        for colour, paint in enumerate(_PAINTS):
+            picture, per_m = _side(rng, kind, paint)
+            side = Surface(atlas.add(picture), (per_m, per_m), detail=0.0, shape=CUT_OUT | TWO_SIDED)
+            lacquer = Surface(atlas.add(plain(rng, tuple(paint), 0.02, 64)), (20.0, 20.0), detail=0.0)
+            ends = {front: atlas.add(_end(rng, kind, paint, front)) for front in (True, False)}
+            models[kind, colour] = _model(
+                shape, half, VEHICLE_KINDS[kind].height_m, side, lacquer, glass, ends, ground, ground_texels_per_m
+            )
+    return models
+
+
+def _model(
+    shape: _Shape,
+    half: float,
+    height: float,
+    side: Surface,
+    lacquer: Surface,
+    glass: int,
+    ends: dict[bool, int],
+    ground: int,
+    ground_texels_per_m: float,
+) -> Mesh:
+    length = shape.profile[-1][0] - shape.profile[0][0]
+    deep = 256.0 / side.texels_per_m[0]
+    tail, nose = shape.profile[0][0], shape.profile[-1][0]
+    left = quad(side, (nose, half, height), (-length, 0, 0), (0, 0, -deep))
+    right = quad(side, (nose, -half, height), (-length, 0, 0), (0, 0, -deep))
+    parts = [left, right]
+    for (x0, z0), (x1, z1), part in zip(shape.profile[:-1], shape.profile[1:], shape.parts, strict=True):
+        run = float(np.hypot(x1 - x0, z1 - z0))
+        per_m = (128.0 / (2.0 * half), 128.0 / run)
+        if part in ("front", "rear", "doors"):
+            look = Surface(ends[part == "front"], per_m, detail=0.0, emission=3.0 if part == "front" else 1.5)
+        elif part in ("glass", "screen"):
+            look = Surface(glass, (64.0 / (2.0 * half), 64.0 / run), detail=0.0)
+        else:
+            look = lacquer
+        forward = part in ("front", "hood", "screen")
+        if forward:  # as seen from ahead
+            parts.append(quad(look, (x0, -half, z0), (0, 2 * half, 0), (x1 - x0, 0, z1 - z0)))
+        else:  # as seen from behind
+            parts.append(quad(look, (x1, half, z1), (0, -2 * half, 0), (x0 - x1, 0, z0 - z1)))
+    mirror = Surface(lacquer.texture, (60.0, 60.0), detail=0.0)
+    x = shape.windows[-1][-1][0] - 0.15
+    z = shape.windows[-1][-1][1]
+    for y in (half, -half - 0.2):
+        parts.append(quad(mirror, (x + 0.12, y, z + 0.16), (0, 0.2, 0), (0, 0, -0.16)))
+        parts.append(quad(mirror, (x, y + 0.2, z + 0.16), (0, -0.2, 0), (0, 0, -0.16)))
+    scale = (ground_texels_per_m, ground_texels_per_m)
+    under = Surface(ground, scale, tint=(0.1, 0.1, 0.1), detail=0.5, material=SHADE)
+    parts.append(quad(under, (tail - 0.05, half, 0.02), (length + 0.1, 0, 0), (0, -2 * half, 0)))
+    return mesh_of(parts)
+
+
+def ground_aligned(patches: Mesh, texels_per_m: float) -> Mesh:
+    """Ground patches that lie anywhere, their texture taken from the map position below them."""
+    out = patches.copy()
+    u, v, origin = patches["edge_u"], patches["edge_v"], patches["origin"]
+    out["texel"] = texels_per_m * np.stack([u[:, 0], v[:, 0], origin[:, 0], u[:, 1], v[:, 1], origin[:, 1]], axis=1)
+    return out

@@ -1,0 +1,175 @@
+"""A whole city from one seed."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixo_env.errors import ConfigurationError
+from mixo_env.simulator.city.blocks import SIDES, City, build_pavement, build_side
+from mixo_env.simulator.city.furniture import LAMP_M, street_lamp, traffic_light, tree
+from mixo_env.simulator.city.ground import GROUND_PERIOD_M, ground_texture
+from mixo_env.simulator.city.materials import city_materials
+from mixo_env.simulator.city.mesh import Mesh, PatchSet, mesh_of, packed, quad
+from mixo_env.simulator.city.shadows import EXTENT_M, Shadows
+from mixo_env.simulator.city.streets import HALF_CITY_BLOCKS
+from mixo_env.simulator.city.textures import Atlas, detail_tile, quads, reductions, sky_tile
+from mixo_env.simulator.city.vehicle_models import ground_aligned, vehicle_models
+
+BlockSide = tuple[int, int, str]
+"""Column, row and side (in ``SIDES``) of a block; block (i, j) begins at the streets x = i and y = j."""
+
+_GROUND_HALF_M = 1024.0
+
+
+@dataclass(frozen=True)
+class World:
+    """Everything the renderer reads; plain arrays, so it can be pickled and shared.
+
+    Attributes:
+        seed: the city's seed.
+        sun: ``(3,)`` unit vector towards the sun, map frame.
+        static: patches of everything that never moves.
+        vehicles: meshes of vehicles by kind and colour, x forward, origin at the centre on the ground.
+        texels, table: packed atlas, see ``Atlas.packed``.
+        detail: fine-grain tile with reductions as :func:`quads`, one after the other.
+        detail_start: first entry of each reduction.
+        sky: clouds, ``(512, 512)`` bytes.
+        sunlight: ``(4096, 4096)`` sunlight on the ground, bytes.
+        shadow_height: ``(2048, 2048)`` float32 height in metres below which houses keep the sun out.
+        lamp_light: ``(1024, 1024)`` float32 light of the street lamps on the ground, per metre, 1 under a lamp.
+        ground_texels_per_m: scale of the ground texture.
+    """
+
+    seed: int
+    sun: NDArray[np.float64]
+    static: PatchSet
+    vehicles: dict[tuple[str, int], Mesh]
+    texels: NDArray[np.uint32]
+    table: NDArray[np.int64]
+    detail: NDArray[np.uint32]
+    detail_start: NDArray[np.int64]
+    sky: NDArray[np.uint8]
+    sunlight: NDArray[np.uint8]
+    shadow_height: NDArray[np.float32]
+    lamp_light: NDArray[np.float32]
+    ground_texels_per_m: float
+
+
+def grain_levels(tile: NDArray[np.uint8]) -> tuple[NDArray[np.uint32], NDArray[np.int64]]:
+    """Fine grain with all reductions in one row, as :func:`quads`, and where each reduction starts."""
+    levels = reductions(tile)
+    start = np.concatenate([[0], np.cumsum([level.size for level in levels[:-1]])]).astype(np.int64)
+    return np.concatenate([quads(level).ravel() for level in levels]), start
+
+
+def lamp_light(lamps: NDArray[np.float64]) -> NDArray[np.float32]:
+    """Light of lamps at ``(n, 2)`` metres on level ground, ``(1024, 1024)`` one value a metre, indexed [y, x]."""
+    side, reach = int(EXTENT_M), 30
+    light = np.zeros((side + 2 * reach, side + 2 * reach), np.float32)
+    offset = np.arange(-reach, reach + 1)
+    for x, y in lamps + 0.5 * EXTENT_M - 0.5:
+        column, row = int(np.floor(x)), int(np.floor(y))
+        if not (0 <= column < side and 0 <= row < side):
+            continue
+        squared = (offset[None, :] + column - x) ** 2 + (offset[:, None] + row - y) ** 2
+        window = np.clip(1.0 - squared / reach**2, 0.0, 1.0)
+        splat = window * LAMP_M**3 / (squared + LAMP_M**2) ** 1.5
+        light[row : row + 2 * reach + 1, column : column + 2 * reach + 1] += splat.astype(np.float32)
+    return np.ascontiguousarray(light[reach:-reach, reach:-reach])
+
+
+def build_world(
+    seed: int,
+    *,
+    blank_walls: float = 0.12,
+    parked: float = 0.6,
+    grain: float = 1.0,
+    blank_sides: Collection[BlockSide] = (),
+    half_blocks: int = HALF_CITY_BLOCKS,
+    variety: int = 28,
+    ground_side: int = 4096,
+) -> World:
+    """Build the city of ``seed``; the same arguments give the same bits.
+
+    Args:
+        seed: decides textures, houses, furniture, parked cars and the position of the sun.
+        blank_walls: share of plots with windowless buildings; 0.85 makes feature trackers fail.
+        parked: share of parking places taken.
+        grain: strength of the fine grain of all surfaces; 0.3 gives a city with little texture.
+        blank_sides: sides of blocks that are one long windowless wall, e.g. ``(0, -1, "north")``.
+        half_blocks: the city reaches this many blocks from the origin (tests build smaller ones).
+        variety: number of house fronts drawn.
+        ground_side: texels along the side of the ground texture, a power of two.
+
+    Raises:
+        ConfigurationError: for shares outside 0..1, an unknown side or a city larger than its maps.
+    """
+    for name, share in (("blank_walls", blank_walls), ("parked", parked)):
+        if not 0.0 <= share <= 1.0:
+            raise ConfigurationError(f"{name} is a share and must lie in 0..1, got {share}")
+    if not 1 <= half_blocks <= HALF_CITY_BLOCKS:
+        raise ConfigurationError(f"half_blocks must lie in 1..{HALF_CITY_BLOCKS}, got {half_blocks}")
+    for side in blank_sides:
+        if side[2] not in SIDES:
+            raise ConfigurationError(f"blank side {side!r}: the side must be one of {', '.join(SIDES)}")
+    texture_rng, sun_rng, tree_rng = (np.random.default_rng([seed, part]) for part in range(3))
+    atlas = Atlas()
+    ground_per_m = ground_side / GROUND_PERIOD_M
+    ground = atlas.add(ground_texture(texture_rng, ground_side))
+    materials = city_materials(atlas, texture_rng, ground, ground_per_m, variety, grain)
+    vehicles = vehicle_models(atlas, texture_rng, ground, ground_per_m)
+    azimuth, elevation = sun_rng.uniform(0.0, 2.0 * np.pi), np.deg2rad(sun_rng.uniform(30.0, 62.0))
+    sun = np.array([np.cos(azimuth) * np.cos(elevation), np.sin(azimuth) * np.cos(elevation), np.sin(elevation)])
+    trees = [tree(materials, tree_rng) for _ in range(12)]
+    lamp, signals = street_lamp(materials, tree_rng), traffic_light(materials, tree_rng)
+    city = City(materials, trees, lamp, signals, vehicles, Shadows(sun), blank_walls, parked)
+    half = _GROUND_HALF_M
+    road = mesh_of([quad(materials.ground, (-half, half, 0.0), (2.0 * half, 0.0, 0.0), (0.0, -2.0 * half, 0.0))])
+    city.groups.append(ground_aligned(road, ground_per_m))
+    _blocks(city, seed, half_blocks, set(blank_sides))
+
+    detail, detail_start = grain_levels(detail_tile(texture_rng))
+    texels, table = atlas.packed()
+    return World(
+        seed=seed,
+        sun=sun,
+        static=packed(city.groups, sun),
+        vehicles=vehicles,
+        texels=texels,
+        table=table,
+        detail=detail,
+        detail_start=detail_start,
+        sky=sky_tile(texture_rng),
+        sunlight=city.shadows.picture(),
+        shadow_height=city.shadows.field(),
+        lamp_light=lamp_light(np.array(city.lamps)),
+        ground_texels_per_m=ground_per_m,
+    )
+
+
+def _blocks(city: City, seed: int, half_blocks: int, blank_sides: set[BlockSide]) -> None:
+    """All blocks, and around them a ring of which only the sides that face the city are built."""
+
+    def inside(column: int, row: int) -> bool:
+        return -half_blocks <= column < half_blocks and -half_blocks <= row < half_blocks
+
+    across = {"south": (0, -1), "east": (1, 0), "north": (0, 1), "west": (-1, 0)}
+    for column in range(-half_blocks - 1, half_blocks + 1):
+        for row in range(-half_blocks - 1, half_blocks + 1):
+            faces = [
+                number
+                for number, side in enumerate(SIDES)
+                if inside(column, row) or inside(column + across[side][0], row + across[side][1])
+            ]
+            if not faces:
+                continue
+            build_pavement(city, column, row)
+            for number in faces:
+                # Every side has its own stream: changing one share leaves the rest of the city as it is.
+                rng = np.random.default_rng([seed, 3, column + 100, row + 100, number])
+                park = np.random.default_rng([seed, 4, column + 100, row + 100]).random() < 0.12
+                build_side(city, column, row, number, rng, park, (column, row, SIDES[number]) in blank_sides)

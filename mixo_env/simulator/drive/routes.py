@@ -1,0 +1,188 @@
+"""Paths of the rear axle along the street grid: straights, rounded turns, a driver who does not hold the lane exactly.
+
+A path is built from its curvature, which is smooth everywhere, so that heading and position follow by integration
+and the car can really drive it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixo_env.geometry import rotation_from_yaw
+from mixo_env.simulator.city.streets import BLOCK_M, HALF_CITY_BLOCKS, LANE_M
+
+FloatArray = NDArray[np.float64]
+
+STEP_M = 0.1
+"""Spacing of the samples of a path."""
+
+LEFT, STRAIGHT, RIGHT = 1, 0, -1
+"""What to do at a crossing."""
+
+STOP_BEFORE_CROSSING_M = 12.5
+"""Rear axle to the centre of the crossing when the car waits at the stop line."""
+
+SWERVE_EVERY_M = 60.0
+"""Average distance between two swerves around something at the roadside."""
+
+MAX_OFFSET_M = 1.0
+"""The rear axle stays this close to the middle of its lane."""
+
+PASSING_M = 1.25
+"""A vehicle that stands in the lane, close to the parked ones, is passed with this offset to the left."""
+
+_PASSING_HALF_M = 5.0  # the offset is held this long before and after the vehicle's centre ...
+_PASSING_RAMP_M = 19.0  # ... and built up over this length
+_PASSING_EXTRA_M = 700.0 / 429.0 * PASSING_M**2 / _PASSING_RAMP_M  # what the detour is longer than the straight way
+_MARGIN_BLOCKS = 0.7  # routes keep this far inside the city's edge, so that there are houses on both sides
+_RAMP_M = 7.0  # length over which the curvature builds up
+_RADIUS_M = {LEFT: (10.0, 16.0), RIGHT: (7.0, 9.5)}
+_TIGHT_RADIUS_M = {LEFT: (7.0, 8.0), RIGHT: (5.8, 6.4)}
+
+
+@dataclass(frozen=True)
+class Route:
+    """A path, sampled every ``STEP_M`` along its length, map frame.
+
+    Attributes:
+        s_m: ``(n,)`` arc length from the start.
+        x_m, y_m: ``(n,)`` position.
+        course_rad: ``(n,)`` direction of travel, not wrapped.
+        curvature_pm: ``(n,)`` d(course)/ds [1/m], positive to the left.
+        stops_m: arc lengths of the stop lines.
+        turns_m: first and last arc length of every turn.
+        passed_m: arc lengths beside the vehicles that stand in the lane.
+    """
+
+    s_m: FloatArray
+    x_m: FloatArray
+    y_m: FloatArray
+    course_rad: FloatArray
+    curvature_pm: FloatArray
+    stops_m: tuple[float, ...]
+    turns_m: tuple[tuple[float, float], ...]
+    passed_m: tuple[float, ...]
+
+    def at(self, s_m: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """x, y and course at arc lengths; straight on beyond both ends."""
+        beyond = s_m - np.clip(s_m, self.s_m[0], self.s_m[-1])
+        course = np.interp(s_m, self.s_m, self.course_rad)
+        x = np.interp(s_m, self.s_m, self.x_m) + beyond * np.cos(course)
+        y = np.interp(s_m, self.s_m, self.y_m) + beyond * np.sin(course)
+        return x, y, course
+
+
+def plan_route(
+    rng: np.random.Generator, moves: Sequence[int], speed_mps: float, tight: bool = False, passing: float = 0.0
+) -> Route:
+    """A path through the crossings ``moves`` (LEFT, STRAIGHT, RIGHT), somewhere in the city.
+
+    Args:
+        rng: draws radii, lane keeping and the place in the city.
+        moves: what to do at each crossing; at most seven fit into the city.
+        speed_mps: usual speed; a driver corrects the car's place in the lane every few seconds, not metres.
+        tight: turn with the smallest radius.
+        passing: probability of a vehicle in the way in each block but the first.
+    """
+    pieces: list[FloatArray] = []
+    stops, turns, passed = [], [], []
+    start_m = rng.uniform(0.35, 0.95) * BLOCK_M  # from the start to the centre of the first crossing
+    length_m, to_crossing_m = 0.0, start_m
+    for number, move in enumerate(moves):
+        if number and rng.uniform() < passing:  # in the middle of the block, clear of turns
+            passed.append(length_m + to_crossing_m - 0.5 * BLOCK_M + rng.uniform(-4.0, 4.0))
+            to_crossing_m += _PASSING_EXTRA_M
+        stops.append(length_m + to_crossing_m - STOP_BEFORE_CROSSING_M)
+        if move == STRAIGHT:
+            pieces.append(np.zeros(_samples(to_crossing_m)))
+            length_m, to_crossing_m = length_m + to_crossing_m, BLOCK_M
+            continue
+        radius = rng.uniform(*(_TIGHT_RADIUS_M if tight else _RADIUS_M)[move])
+        turn, tangent_m = _turn(radius)
+        # The corner of the two lanes lies LANE_M before (right turn) or behind (left turn) the crossing's centre.
+        approach = np.zeros(_samples(to_crossing_m + move * LANE_M - tangent_m))
+        pieces += [approach, move * turn]
+        first_m = length_m + len(approach) * STEP_M
+        turns.append((first_m, first_m + len(turn) * STEP_M))
+        length_m, to_crossing_m = turns[-1][1], BLOCK_M + move * LANE_M - tangent_m - STEP_M
+    pieces.append(np.zeros(_samples(to_crossing_m - STOP_BEFORE_CROSSING_M)))
+    curvature = np.concatenate(pieces)
+    s = STEP_M * np.arange(len(curvature), dtype=np.float64)
+    offset_m = _lane_keeping(rng, s, curvature, speed_mps)
+    for centre_m in passed:
+        near_m = _PASSING_HALF_M + _PASSING_RAMP_M - np.abs(s - centre_m)
+        part = np.clip(near_m / _PASSING_RAMP_M, 0.0, 1.0)
+        offset_m += part**4 * (35.0 - 84.0 * part + 70.0 * part**2 - 20.0 * part**3) * (PASSING_M - offset_m)
+    offset_slope = np.gradient(offset_m, STEP_M)
+
+    course = _integrated(curvature) + offset_slope
+    x = _integrated(np.cos(course))
+    y = _integrated(np.sin(course)) - LANE_M + offset_m[0]
+    quarter, shift_blocks = _place(rng, x - start_m, y)
+    rotation = rotation_from_yaw(quarter * np.pi / 2.0)[:2, :2]
+    position = rotation @ np.stack([x - start_m, y]) + BLOCK_M * shift_blocks[:, None]
+    return Route(
+        s,
+        position[0],
+        position[1],
+        course + quarter * np.pi / 2.0,
+        curvature + np.gradient(offset_slope, STEP_M),
+        tuple(stops),
+        tuple(turns),
+        tuple(passed),
+    )
+
+
+def _turn(radius_m: float) -> tuple[FloatArray, float]:
+    """Curvature samples of a quarter turn to the left, and its tangent length (first sample to the corner)."""
+    core_m = 0.5 * np.pi * radius_m - _RAMP_M
+    s = STEP_M * np.arange(_samples(core_m + 2.0 * _RAMP_M))
+    ramp = np.clip(np.minimum(s, s[-1] - s) / _RAMP_M, 0.0, 1.0)
+    curvature = ramp * ramp * (3.0 - 2.0 * ramp)
+    curvature *= 0.5 * np.pi / (curvature.sum() * STEP_M)  # exactly 90 degrees on the sampled path
+    return curvature, float(_integrated(np.cos(_integrated(curvature)))[-1])
+
+
+def _lane_keeping(rng: np.random.Generator, s: FloatArray, curvature: FloatArray, speed_mps: float) -> FloatArray:
+    """How far left of the middle of its lane the car drives [m]: wandering slowly, fading out towards turns."""
+    offset = np.zeros_like(s)
+    for shortest_s, longest_s, amplitude_m in ((4.5, 6.0, 0.04), (6.5, 9.0, 0.1), (10.0, 14.0, 0.25)):
+        wavelength_m = max(speed_mps, 5.0) * rng.uniform(shortest_s, longest_s)
+        amplitude = amplitude_m * np.clip(rng.normal(1.0, 0.5), 0.2, 2.0)
+        offset += amplitude * np.sin(2.0 * np.pi * (s / wavelength_m + rng.uniform()))
+    for _ in range(rng.poisson(s[-1] / SWERVE_EVERY_M)):
+        length_m = max(speed_mps, 5.0) * rng.uniform(4.0, 8.0)
+        phase = np.clip((s - rng.uniform(s[0], s[-1])) / length_m, 0.0, 1.0)
+        offset += np.clip(rng.normal(0.0, 0.6), -0.9, 0.9) * np.sin(np.pi * phase) ** 4
+    offset = MAX_OFFSET_M * np.tanh(offset / MAX_OFFSET_M)
+    reach = np.ones(2 * round(18.0 / STEP_M) + 1)
+    fade = 1.0 - (np.convolve(curvature != 0.0, reach, mode="same") > 0.5)
+    box = np.full(round(8.0 / STEP_M), 1.0 / round(8.0 / STEP_M))
+    for _ in range(3):  # three boxes make the fade, and with it the curvature, smooth
+        fade = np.convolve(np.pad(fade, len(box), mode="edge"), box, mode="same")[len(box) : -len(box)]
+    return offset * fade
+
+
+def _place(rng: np.random.Generator, x: FloatArray, y: FloatArray) -> tuple[int, FloatArray]:
+    """A quarter turn and a shift in whole blocks that keep the path inside the city."""
+    quarter = int(rng.integers(4))
+    position = rotation_from_yaw(quarter * np.pi / 2.0)[:2, :2] @ np.stack([x, y]) / BLOCK_M
+    limit = HALF_CITY_BLOCKS - _MARGIN_BLOCKS
+    low = np.ceil(-limit - position.min(axis=1)).astype(int)
+    high = np.floor(limit - position.max(axis=1)).astype(int)
+    if np.any(low > high):
+        raise ValueError(f"a route of {np.ptp(position, axis=1)} blocks does not fit into the city")
+    return quarter, rng.integers(low, high + 1).astype(np.float64)
+
+
+def _integrated(values: FloatArray) -> FloatArray:
+    """Integral over arc length by the trapezium rule, starting at 0."""
+    return STEP_M * np.concatenate([[0.0], np.cumsum(0.5 * (values[1:] + values[:-1]))])
+
+
+def _samples(length_m: float) -> int:
+    return max(round(length_m / STEP_M), 1)

@@ -1,0 +1,200 @@
+"""One simulated scene: the drive with its traffic, sensors and poses, and the pictures the cameras take of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixo_env.geometry import wrap_angle_rad
+from mixo_env.nuscenes.scene import CameraTrack, ExactPoses, Scene
+from mixo_env.nuscenes.selections import conditions_of
+from mixo_env.nuscenes.writer import image_name
+from mixo_env.simulator.city.streets import BLOCK_M, SIDEWALK_M
+from mixo_env.simulator.config import SimulationConfig
+from mixo_env.simulator.drive.clock import SceneTimes, scene_times
+from mixo_env.simulator.drive.drive import DRIVE_RATE_HZ, Drive, plan_drive
+from mixo_env.simulator.drive.localisation import localise
+from mixo_env.simulator.drive.scenario import LOCATION, LogPlan, ScenePlan, generator
+from mixo_env.simulator.drive.traffic import Vehicle, stage_traffic
+from mixo_env.simulator.drive.vehicle_bus import bus_messages
+
+if TYPE_CHECKING:
+    from mixo_env.simulator.city.world import BlockSide
+    from mixo_env.simulator.picture.render import CameraPose, Renderer
+
+_LIGHT = {"day": "sunny", "rain": "rain", "night": "night"}  # the words that nuScenes uses, too
+_WALL_SEEN_M = 60.0  # a blank wall reaches this far beyond the way
+
+
+@dataclass(frozen=True)
+class SimulatedScene:
+    """Everything about one scene but its pixels.
+
+    Attributes:
+        scene: as it is written: poses and calibrations with their small errors, and the exact truth.
+        times: when the sensors fire.
+        drive: the true motion.
+        vehicles: all others.
+        messages: of the CAN bus, by name.
+    """
+
+    scene: Scene
+    times: SceneTimes
+    drive: Drive
+    vehicles: tuple[Vehicle, ...]
+    messages: dict[str, list[dict[str, Any]]]
+
+
+def scene_drive(config: SimulationConfig, log: LogPlan, plan: ScenePlan) -> Drive:
+    """The drive of one scene."""
+    rng = generator(config, "drive", plan.number)
+    return plan_drive(rng, plan.situation, config.seconds, log.course_offset_rad)
+
+
+def simulate_scene(config: SimulationConfig, log: LogPlan, plan: ScenePlan, root: Path) -> SimulatedScene:
+    """Drive one scene and let every sensor but the cameras record it."""
+    drive = scene_drive(config, log, plan)
+    times = scene_times(generator(config, "clock", plan.number), plan.start_us, config.seconds)
+    vehicles = stage_traffic(generator(config, "traffic", plan.number), drive, config.seconds)
+    localisation = localise(generator(config, "localisation", plan.number), drive, log.localisation_lag_s)
+    first_us, last_us = int(times.sample_us[0]), int(times.sample_us[-1])
+    bus_rng = generator(config, "bus", plan.number)
+    messages = bus_messages(bus_rng, drive, localisation, log.sensors, first_us, last_us)
+
+    tracks = {}
+    for channel in config.cameras:
+        frames = times.cameras[channel]
+        x, y, yaw = localisation.pose((frames.timestamp_us - plan.start_us) / 1e6)
+        names = zip(frames.timestamp_us.tolist(), frames.is_keyframe.tolist(), strict=True)
+        paths = tuple(root / image_name(log.logfile, channel, time, key) for time, key in names)
+        calibration = log.rig.written[channel]
+        tracks[channel] = CameraTrack(
+            calibration, frames.timestamp_us, paths, frames.is_keyframe, x, y, wrap_angle_rad(yaw)
+        )
+    description = ", ".join([_LIGHT[log.weather], *_manoeuvre(drive, config.seconds)])
+    scene = Scene(
+        name=plan.name,
+        description=description,
+        log=log.logfile,
+        vehicle=log.vehicle,
+        location=LOCATION,
+        conditions=conditions_of(description),
+        cameras=tracks,
+        can_bus=None,
+        exact=_exact(drive, plan, config.seconds),
+    )
+    return SimulatedScene(scene, times, drive, vehicles, messages)
+
+
+def pictures(
+    config: SimulationConfig, log: LogPlan, plan: ScenePlan, simulated: SimulatedScene, renderer: Renderer
+) -> Iterator[tuple[Path, NDArray[np.uint8]]]:
+    """Every picture of the scene with its path, camera by camera in time order (the exposure control has a memory)."""
+    shutter_s = renderer.weather.shutter_s
+    for channel in config.cameras:
+        calibration = log.rig.true[channel]
+        track = simulated.scene.cameras[channel]
+        gain = None
+        for number, exposure_us in enumerate(simulated.times.cameras[channel].exposure_us):
+            open_s = (int(exposure_us) - plan.start_us) / 1e6
+            noise = generator(config, "noise", plan.number, *channel.encode(), number)
+            picture = renderer.render(
+                calibration,
+                camera_pose(simulated.drive, calibration.rotation_ego_from_camera, calibration.translation_m, open_s),
+                camera_pose(
+                    simulated.drive,
+                    calibration.rotation_ego_from_camera,
+                    calibration.translation_m,
+                    open_s + shutter_s,
+                ),
+                [vehicle.state(open_s + 0.5 * shutter_s) for vehicle in simulated.vehicles],
+                gain=gain,
+                noise_seed=int(noise.integers(2**31)),
+            )
+            gain = picture.gain
+            yield track.image_paths[number], picture.image
+
+
+def camera_pose(
+    drive: Drive, rotation_ego_from_camera: NDArray[np.float64], translation_m: NDArray[np.float64], time_s: float
+) -> CameraPose:
+    """Where a camera of the pitching, rolling and heaving body really is."""
+    from mixo_env.simulator.picture.render import CameraPose
+
+    x, y, yaw, heave, roll, pitch = (
+        float(drive.at(name, time_s)) for name in ("x_m", "y_m", "yaw_rad", "heave_m", "roll_rad", "pitch_rad")
+    )
+    body = _rotation_map_from_body(roll, pitch, yaw)
+    return CameraPose(body @ rotation_ego_from_camera, np.array([x, y, heave]) + body @ translation_m)
+
+
+def blank_sides(config: SimulationConfig, log: LogPlan) -> tuple[BlockSide, ...]:
+    """House fronts that the log's scenes with a blank wall need: one whole side of the way."""
+    sides: dict[BlockSide, None] = {}
+    for plan in log.scenes:
+        if plan.situation != "blank_wall":
+            continue
+        drive = scene_drive(config, log, plan)
+        s = np.arange(float(drive.at("s_m", 0.0)), float(drive.at("s_m", config.seconds)) + _WALL_SEEN_M, 1.0)
+        x, y, course = drive.route.at(s)
+        turned = course[-1] - course[0]
+        # The wall stands on the outer side of a turn, so that the front view sweeps along it.
+        outer = -np.sign(turned) if abs(turned) > 0.5 else generator(config, "wall", plan.number).choice([-1, 1])
+        inside = (x - outer * 15.0 * np.sin(course), y + outer * 15.0 * np.cos(course))
+        for px, py in zip(*inside, strict=True):
+            side = _nearest_side(px, py)
+            if side:
+                sides[side] = None
+    return tuple(sides)
+
+
+def _nearest_side(x: float, y: float) -> BlockSide | None:
+    """The house front next to a point behind it, ``None`` on a street."""
+    column, row = int(np.floor(x / BLOCK_M)), int(np.floor(y / BLOCK_M))
+    u, v = x - column * BLOCK_M, y - row * BLOCK_M
+    if min(u, v, BLOCK_M - u, BLOCK_M - v) < SIDEWALK_M:
+        return None
+    distances = {"west": u, "east": BLOCK_M - u, "south": v, "north": BLOCK_M - v}
+    return column, row, min(distances, key=lambda side: distances[side])
+
+
+def _rotation_map_from_body(roll: float, pitch: float, yaw: float) -> NDArray[np.float64]:
+    """R_z(yaw) R_y(pitch) R_x(roll)."""
+    cr, sr, cp, sp, cy, sy = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch), np.cos(yaw), np.sin(yaw)
+    return np.array(
+        [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ]
+    )
+
+
+def _exact(drive: Drive, plan: ScenePlan, seconds: float) -> ExactPoses:
+    """The noise-free truth from shortly before the first image until shortly after the last."""
+    inside = (drive.time_s >= -0.2) & (drive.time_s <= seconds + 0.2)
+    time_us = plan.start_us + np.rint(drive.time_s[inside] * 1e6).astype(np.int64)
+    return ExactPoses(time_us, drive.x_m[inside], drive.y_m[inside], wrap_angle_rad(drive.yaw_rad[inside]))
+
+
+def _manoeuvre(drive: Drive, seconds: float) -> list[str]:
+    """What the car does, in the words of the scene table."""
+    inside = slice(*np.searchsorted(drive.time_s, (0.0, seconds)))
+    yaw, speed = drive.yaw_rad[inside], drive.speed_mps[inside]
+    turned = yaw - yaw[0]
+    words = []
+    if drive.s_m[inside][-1] - drive.s_m[inside][0] < 0.25 * seconds:
+        words.append("wait")
+    elif (speed < 0.1).sum() > 0.5 * DRIVE_RATE_HZ:
+        words.append("stop and go")
+    if turned.max() > 0.7:
+        words.append("turn left")
+    if turned.min() < -0.7:
+        words.append("turn right")
+    staged = [] if drive.situation == "ordinary" else [drive.situation.replace("_", " ")]
+    return (words or ["straight"]) + staged

@@ -1,0 +1,245 @@
+"""The other vehicles of a scene: ahead, behind, oncoming and crossing, each on its own smooth way, none colliding.
+
+Vehicles in the car's own lane follow Newell's car-following model: the same trajectory, shifted in time and space
+(Newell 2002, "A simplified car-following theory: a lower order model"). All others drive straight along lanes of the
+street grid. A candidate that would come too close to the car or to an earlier vehicle at any time is left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixo_env.simulator.city.streets import BLOCK_M, HALF_CITY_BLOCKS, LANE_M
+from mixo_env.simulator.city.vehicles import COLOURS, VEHICLE_KINDS, VehicleState
+from mixo_env.simulator.drive.drive import Drive
+from mixo_env.simulator.drive.routes import PASSING_M
+
+FloatArray = NDArray[np.float64]
+
+CAR_LENGTH_M, CAR_WIDTH_M = 4.08, 1.95
+"""The car itself (with its mirrors)."""
+
+REAR_AXLE_TO_FRONT_M = 3.44
+REAR_AXLE_TO_REAR_M = CAR_LENGTH_M - REAR_AXLE_TO_FRONT_M
+
+_RATE_HZ = 20
+_BEYOND_S = 0.5  # vehicles are known this long before and after the scene
+_SIGHT_M = 110.0
+_STANDING_ASIDE_M = 1.5  # who stands in the lane stands this far right of its middle, along the parked cars
+_CLEAR_AHEAD_M, _CLEAR_ASIDE_M = 0.9, 0.15  # room around every vehicle, half of the smallest gap
+_KINDS, _KIND_SHARES = ("sedan", "suv", "van", "truck"), (0.52, 0.26, 0.15, 0.07)
+
+
+@dataclass(frozen=True)
+class Vehicle:
+    """One vehicle over a scene: ``(n,)`` samples of the centre on the ground, map frame; heading not wrapped."""
+
+    kind: str
+    colour: int
+    time_s: FloatArray
+    x_m: FloatArray
+    y_m: FloatArray
+    yaw_rad: FloatArray
+
+    @property
+    def size_m(self) -> tuple[float, float]:
+        """Length and width."""
+        kind = VEHICLE_KINDS[self.kind]
+        return kind.length_m, kind.width_m
+
+    def state(self, time_s: float) -> VehicleState:
+        """Where the vehicle is and how it moves at one instant of the scene."""
+        index = int(np.clip((time_s - self.time_s[0]) * _RATE_HZ, 0, len(self.time_s) - 2))
+        part = (time_s - self.time_s[index]) * _RATE_HZ
+        x, y, yaw = (
+            values[index] + part * (values[index + 1] - values[index]) for values in (self.x_m, self.y_m, self.yaw_rad)
+        )
+        rate_x, rate_y, rate_yaw = (
+            _RATE_HZ * (values[index + 1] - values[index]) for values in (self.x_m, self.y_m, self.yaw_rad)
+        )
+        speed = rate_x * np.cos(yaw) + rate_y * np.sin(yaw)
+        return VehicleState(self.kind, self.colour, float(x), float(y), float(yaw), float(speed), float(rate_yaw))
+
+
+@dataclass(frozen=True)
+class Lane:
+    """One lane of the grid: along ``axis`` (0 = x, 1 = y) of street ``street``, driven in ``direction`` +1 or -1."""
+
+    axis: int
+    street: int
+    direction: int
+
+    @property
+    def opposite(self) -> Lane:
+        """The other lane of the street."""
+        return Lane(self.axis, self.street, -self.direction)
+
+    def at(self, along_m: FloatArray) -> tuple[FloatArray, FloatArray, float]:
+        """x, y and heading of points at map coordinate ``along_m`` in the middle of the lane."""
+        # Right-hand traffic: eastbound lanes lie south of the centre line, northbound ones east of it.
+        aside = self.street * BLOCK_M + (LANE_M if self.axis else -LANE_M) * self.direction
+        across = np.full_like(along_m, aside)
+        heading = 0.5 * np.pi * self.axis + (0.0 if self.direction > 0 else np.pi)
+        return (along_m, across, heading) if self.axis == 0 else (across, along_m, heading)
+
+
+def stage_traffic(rng: np.random.Generator, drive: Drive, seconds: float) -> tuple[Vehicle, ...]:
+    """All other vehicles of one scene.
+
+    Args:
+        rng: draws vehicles and their ways.
+        drive: of the car; ``drive.situation`` decides what is staged.
+        seconds: length of the scene.
+    """
+    time_s = np.arange(-_BEYOND_S, seconds + _BEYOND_S, 1.0 / _RATE_HZ)
+    accepted = [_car_itself(drive, time_s)]
+    car = accepted[0]
+    for vehicle in _candidates(rng, drive, time_s):
+        near = np.hypot(vehicle.x_m - car.x_m, vehicle.y_m - car.y_m).min() < _SIGHT_M
+        if near and not any(_too_close(vehicle, other) for other in accepted):
+            accepted.append(vehicle)
+    return tuple(accepted[1:])
+
+
+def _car_itself(drive: Drive, time_s: FloatArray) -> Vehicle:
+    """The car as an obstacle (a sedan is a little larger than it)."""
+    x, y, yaw = (drive.at(name, time_s) for name in ("x_m", "y_m", "yaw_rad"))
+    ahead = 0.5 * (REAR_AXLE_TO_FRONT_M - REAR_AXLE_TO_REAR_M)
+    return Vehicle("sedan", 0, time_s, x + ahead * np.cos(yaw), y + ahead * np.sin(yaw), yaw)
+
+
+def _candidates(rng: np.random.Generator, drive: Drive, time_s: FloatArray) -> Iterator[Vehicle]:
+    """Vehicles in the order of their importance; the first ones are the staged ones."""
+    situation = drive.situation
+    if situation == "lead_truck":
+        yield _in_own_lane(rng, drive, time_s, "truck", rng.uniform(0.7, 1.2), gap_m=rng.uniform(2.4, 3.5))
+    elif rng.uniform() < 0.35:
+        yield _in_own_lane(rng, drive, time_s, _kind(rng), rng.uniform(1.4, 3.0), gap_m=rng.uniform(2.5, 6.0))
+    if situation == "following_van":
+        yield _in_own_lane(rng, drive, time_s, "van", -rng.uniform(0.4, 0.8), gap_m=rng.uniform(2.4, 3.0))
+    elif rng.uniform() < 0.35:
+        yield _in_own_lane(rng, drive, time_s, _kind(rng), -rng.uniform(1.2, 2.5), gap_m=rng.uniform(2.5, 6.0))
+
+    for passed_m in drive.route.passed_m:
+        yield _in_the_way(rng, drive, time_s, passed_m)
+    own, crossing = _lanes(drive, time_s)
+    for lane in own:
+        if situation == "side_queue":
+            speed_mps, pause_m = rng.uniform(0.0, 1.0), (1.5, 3.5)
+        elif situation == "oncoming_platoon":
+            speed_mps, pause_m = rng.uniform(5.0, 9.0), (7.0, 14.0)
+        else:
+            speed_mps, pause_m = rng.uniform(5.0, 10.0), (15.0, 90.0)
+        yield from _flow(rng, drive, time_s, lane.opposite, speed_mps, pause_m)
+        yield from _flow(rng, drive, time_s, lane, rng.uniform(5.0, 10.0), (20.0, 120.0))
+    for lane in crossing:
+        if situation == "standing_cross_traffic":
+            yield from _flow(rng, drive, time_s, lane, rng.uniform(5.5, 8.5), (8.0, 22.0))
+        elif rng.uniform() < 0.7:
+            yield from _flow(rng, drive, time_s, lane, rng.uniform(5.0, 9.0), (20.0, 100.0))
+
+
+def _in_own_lane(
+    rng: np.random.Generator, drive: Drive, time_s: FloatArray, kind: str, ahead_s: float, gap_m: float
+) -> Vehicle:
+    """A vehicle on the car's own route, ``ahead_s`` in time and ``gap_m`` at standstill ahead (behind if negative)."""
+    length_m = VEHICLE_KINDS[kind].length_m
+    if ahead_s > 0:
+        shift_m = REAR_AXLE_TO_FRONT_M + gap_m + 0.5 * length_m
+    else:
+        shift_m = -(REAR_AXLE_TO_REAR_M + gap_m + 0.5 * length_m)
+    centre_m = drive.at("s_m", time_s + ahead_s) + shift_m
+    front_x, front_y, _ = drive.route.at(centre_m + 0.3 * length_m)
+    rear_x, rear_y, course = drive.route.at(centre_m - 0.3 * length_m)
+    # Both axles stay on the route; the direction between them is taken next to the course, so that it does not wrap.
+    chord = np.arctan2(front_y - rear_y, front_x - rear_x)
+    yaw = course + np.angle(np.exp(1j * (chord - course)))
+    return Vehicle(kind, _colour(rng), time_s, 0.5 * (front_x + rear_x), 0.5 * (front_y + rear_y), yaw)
+
+
+def _in_the_way(rng: np.random.Generator, drive: Drive, time_s: FloatArray, passed_m: float) -> Vehicle:
+    """A car that stands in the lane where the route swerves around it."""
+    x, y, course = drive.route.at(np.full_like(time_s, passed_m))
+    aside_m = PASSING_M + _STANDING_ASIDE_M
+    kind = str(rng.choice(_KINDS[:2]))
+    return Vehicle(kind, _colour(rng), time_s, x + aside_m * np.sin(course), y - aside_m * np.cos(course), course)
+
+
+def _flow(
+    rng: np.random.Generator,
+    drive: Drive,
+    time_s: FloatArray,
+    lane: Lane,
+    speed_mps: float,
+    pause_m: tuple[float, float],
+) -> Iterator[Vehicle]:
+    """Vehicles of one lane, all in the same rhythm; bumper-to-bumper distances lie in ``pause_m``."""
+    path_m = drive.at("x_m" if lane.axis == 0 else "y_m", time_s)
+    # Speed swings by up to 15 %, the same for the whole lane, so that nobody catches up.
+    omega = 2.0 * np.pi / rng.uniform(9.0, 18.0)
+    moved_m = speed_mps * (time_s + 0.15 / omega * np.sin(omega * time_s + rng.uniform(0.0, 2.0 * np.pi)))
+    reach_m = _SIGHT_M + speed_mps * time_s[-1]
+    low, high = path_m.min() - reach_m, path_m.max() + reach_m
+    along_m = low + rng.uniform(0.0, pause_m[1])
+    while along_m < high:
+        kind, colour = _kind(rng), _colour(rng)
+        length_m = VEHICLE_KINDS[kind].length_m
+        along_m += 0.5 * length_m
+        x, y, heading = lane.at(along_m + lane.direction * moved_m)
+        along_m += 0.5 * length_m + rng.uniform(*pause_m)
+        edge_m = (HALF_CITY_BLOCKS + 0.5) * BLOCK_M
+        if max(np.abs(x).max(), np.abs(y).max()) < edge_m:
+            yield Vehicle(kind, colour, time_s, x, y, np.full_like(time_s, heading))
+
+
+def _lanes(drive: Drive, time_s: FloatArray) -> tuple[list[Lane], list[Lane]]:
+    """Lanes the car drives in, and lanes of the streets it comes near, in the order in which it meets them."""
+    x, y, course = drive.route.at(np.linspace(drive.at("s_m", time_s[0]), drive.at("s_m", time_s[-1]) + 40.0, 400))
+    own: dict[Lane, None] = {}
+    crossing: dict[Lane, None] = {}
+    for px, py, angle in zip(x, y, course, strict=True):
+        quarter = round(angle / (0.5 * np.pi))
+        axis, direction = quarter % 2, 1 if quarter % 4 < 2 else -1
+        if abs(angle - quarter * 0.5 * np.pi) < 0.1:
+            own[Lane(axis, round((py, px)[axis] / BLOCK_M), direction)] = None
+        ahead = (px, py)[axis] / BLOCK_M
+        if abs(ahead - round(ahead)) * BLOCK_M < 25.0:
+            crossing[Lane(1 - axis, round(ahead), 1)] = None
+            crossing[Lane(1 - axis, round(ahead), -1)] = None
+    driven = set(own) | {lane.opposite for lane in own}
+    return list(own), [lane for lane in crossing if lane not in driven]
+
+
+def _too_close(a: Vehicle, b: Vehicle) -> bool:
+    """Whether the two, each with some room around it, ever overlap (separating axes of two rectangles)."""
+    dx, dy = b.x_m - a.x_m, b.y_m - a.y_m
+    half_a, half_b = _half_m(a), _half_m(b)
+    near = np.hypot(dx, dy) < np.hypot(*half_a) + np.hypot(*half_b)
+    if not near.any():
+        return False
+    dx, dy, yaw_a, yaw_b = dx[near], dy[near], a.yaw_rad[near], b.yaw_rad[near]
+    cosine, sine = np.abs(np.cos(yaw_b - yaw_a)), np.abs(np.sin(yaw_b - yaw_a))
+    apart = np.zeros(len(dx), dtype=np.bool_)
+    for yaw, (length, width), (other_length, other_width) in ((yaw_a, half_a, half_b), (yaw_b, half_b, half_a)):
+        ahead = np.abs(dx * np.cos(yaw) + dy * np.sin(yaw))
+        aside = np.abs(dy * np.cos(yaw) - dx * np.sin(yaw))
+        apart |= ahead > length + other_length * cosine + other_width * sine
+        apart |= aside > width + other_length * sine + other_width * cosine
+    return not apart.all()
+
+
+def _half_m(vehicle: Vehicle) -> tuple[float, float]:
+    length_m, width_m = vehicle.size_m
+    return 0.5 * length_m + _CLEAR_AHEAD_M, 0.5 * width_m + _CLEAR_ASIDE_M
+
+
+def _kind(rng: np.random.Generator) -> str:
+    return str(rng.choice(_KINDS, p=_KIND_SHARES))
+
+
+def _colour(rng: np.random.Generator) -> int:
+    return int(rng.integers(COLOURS))

@@ -1,0 +1,234 @@
+"""Moving vehicles as patches, put anew into every picture."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixo_env.compiled import compiled_unchecked
+from mixo_env.simulator.city.mesh import CUT_OUT, SHADE, TWO_SIDED, PatchSet, packed
+from mixo_env.simulator.city.vehicles import VEHICLE_KINDS, VehicleState
+from mixo_env.simulator.city.world import World
+from mixo_env.simulator.picture.views import (
+    BODY,
+    FACING,
+    MATERIAL,
+    NORMAL_X,
+    NORMAL_Y,
+    NORMAL_Z,
+    SIDES,
+    Float64s,
+    Int64s,
+)
+
+_SWEEPS = 3  # patches of a sun shadow
+_SHADE, _BOTH = SHADE, TWO_SIDED | CUT_OUT
+_SHADOW_M = 0.01  # above the road, or the two would flicker
+
+# A box a little smaller than the body's outer size, which rounded bodies do not fill, throws the shadow.
+_SHADOW_PLAN = 0.96  # share of length and width
+_SHADOW_HEIGHT = 0.85  # share of height
+
+
+class Models(NamedTuple):
+    """All that is copied when vehicles are placed.
+
+    Attributes:
+        patches: of the models, one group each.
+        size_m: ``(models, 3)`` length, width, height.
+        sun: ``(3,)`` unit vector towards the sun.
+        texels_per_m: of the ground, which shadows show.
+        shadows: whether vehicles throw sun shadows.
+    """
+
+    patches: PatchSet
+    size_m: Float64s
+    sun: Float64s
+    texels_per_m: float
+    shadows: bool
+
+
+@compiled_unchecked
+def _place(states: Float64s, numbers: Int64s, models: Models, out: PatchSet) -> None:
+    """Copy the models ``numbers`` to their ``states`` (x, y, yaw); see :class:`Fleet`."""
+    patches = models.patches
+    q = under = 0
+    for n in range(states.shape[0]):
+        x, y, m = states[n, 0], states[n, 1], numbers[n]
+        c, s = np.cos(states[n, 2]), np.sin(states[n, 2])
+        # The group: where it begins, and its bounding sphere.
+        out.group_start[n] = q
+        spheres = patches.groups
+        out.groups[n, 0] = x + c * spheres[m, 0] - s * spheres[m, 1]
+        out.groups[n, 1] = y + s * spheres[m, 0] + c * spheres[m, 1]
+        out.groups[n, 2] = spheres[m, 2]
+        out.groups[n, 3] = spheres[m, 3]
+        # The body.
+        for p in range(patches.group_start[m], patches.group_start[m + 1]):
+            _move(patches, p, (x, y, c, s), out, q)
+            _face(patches, p, (c, s), models.sun, out, q)
+            out.tag[q, BODY] = n + 1
+            if patches.tag[p, MATERIAL] == _SHADE:
+                _lay(out, q, models.texels_per_m)
+                under = p
+            q += 1
+        # Its shadow, which looks like the ground under it.
+        if models.shadows:
+            q = _throw_shadow(models, m, (x, y, c, s), under, out, q)
+            rx, ry = _throw(models, m)
+            out.groups[n, 3] += np.sqrt(rx * rx + ry * ry)
+    out.group_start[states.shape[0]] = q
+
+
+@compiled_unchecked
+def _move(patches: PatchSet, p: int, pose: tuple[float, float, float, float], out: PatchSet, q: int) -> None:
+    """Copy patch ``p`` to ``q``, turned and moved to ``pose``: x, y, cos and sin of the yaw."""
+    x, y, c, s = pose
+    for e in range(0, 9, 3):
+        gx, gy = patches.geometry[p, e], patches.geometry[p, e + 1]
+        out.geometry[q, e], out.geometry[q, e + 1] = c * gx - s * gy, s * gx + c * gy
+        out.geometry[q, e + 2] = patches.geometry[p, e + 2]
+    out.geometry[q, 0] += x
+    out.geometry[q, 1] += y
+    out.texel[q], out.look[q], out.tag[q] = patches.texel[p], patches.look[p], patches.tag[p]
+
+
+@compiled_unchecked
+def _face(patches: PatchSet, p: int, turn: tuple[float, float], sun: Float64s, out: PatchSet, q: int) -> None:
+    """Turn the normal of patch ``p`` and look how it faces the sun; what is seen from both sides is lit on both."""
+    c, s = turn
+    look = patches.look[p]
+    nx, ny, nz = c * look[NORMAL_X] - s * look[NORMAL_Y], s * look[NORMAL_X] + c * look[NORMAL_Y], look[NORMAL_Z]
+    facing = nx * sun[0] + ny * sun[1] + nz * sun[2]
+    if facing < 0.0 and patches.tag[p, SIDES] & _BOTH != 0:
+        facing, nx, ny, nz = -facing, -nx, -ny, -nz
+    lit = out.look[q]
+    lit[FACING], lit[NORMAL_X], lit[NORMAL_Y], lit[NORMAL_Z] = max(facing, 0.0), nx, ny, nz
+
+
+@compiled_unchecked
+def _throw(models: Models, m: int) -> tuple[float, float]:
+    """Where the shadow of the roof of model ``m`` lies, from below it, in metres."""
+    tall, sun = _SHADOW_HEIGHT * models.size_m[m, 2], models.sun
+    return -tall * sun[0] / sun[2], -tall * sun[1] / sun[2]
+
+
+@compiled_unchecked
+def _throw_shadow(
+    models: Models, m: int, pose: tuple[float, float, float, float], under: int, out: PatchSet, q: int
+) -> int:
+    """Put the sun shadow of a box from ``q`` on; the next free patch.
+
+    It is the plan of the box swept along the ground: the plan where that ends, and two parallelograms.
+    """
+    x, y, c, s = pose
+    length, width = _SHADOW_PLAN * models.size_m[m, 0], _SHADOW_PLAN * models.size_m[m, 1]
+    rx, ry = _throw(models, m)
+    ux, uy, vx, vy = c * length, s * length, s * width, -c * width  # along the vehicle and to its right
+    cx, cy = x - 0.5 * (ux + vx), y - 0.5 * (uy + vy)  # rear left corner
+    ahead, aside = c * rx + s * ry > 0.0, s * rx - c * ry > 0.0
+    patches = models.patches
+    for k in range(_SWEEPS):
+        out.texel[q], out.look[q], out.tag[q] = patches.texel[under], patches.look[under], patches.tag[under]
+        for j in range(3):
+            out.look[q, j] = 1.0  # the tint
+        out.tag[q, SIDES] = TWO_SIDED
+        g = out.geometry[q]
+        g[2], g[5], g[8] = _SHADOW_M, 0.0, 0.0
+        if k == 0:
+            g[0], g[1], g[3], g[4], g[6], g[7] = cx + rx, cy + ry, ux, uy, vx, vy
+        elif k == 1:  # the sweep of the side that is turned from the sun
+            g[0], g[1], g[3], g[4], g[6], g[7] = cx, cy, ux, uy, rx, ry
+            if aside:
+                g[0] += vx
+                g[1] += vy
+        else:  # of the front or the rear
+            g[0], g[1], g[3], g[4], g[6], g[7] = cx, cy, vx, vy, rx, ry
+            if ahead:
+                g[0] += ux
+                g[1] += uy
+        _lay(out, q, models.texels_per_m)
+        q += 1
+    return q
+
+
+@compiled_unchecked
+def _lay(out: PatchSet, q: int, texels_per_m: float) -> None:
+    """Give patch ``q`` the texture of the ground below it; what lies on the ground does not move with the vehicle."""
+    g, texel = out.geometry[q], out.texel[q]
+    texel[0], texel[1], texel[2] = texels_per_m * g[3], texels_per_m * g[6], texels_per_m * g[0]
+    texel[3], texel[4], texel[5] = texels_per_m * g[4], texels_per_m * g[7], texels_per_m * g[1]
+    out.tag[q, BODY] = 0
+
+
+class Fleet:
+    """All vehicle models of a world, ready to be placed.
+
+    Args:
+        world: whose models and sun are used.
+        shadows: whether vehicles throw sun shadows.
+
+    Attributes:
+        size_m: ``(models, 3)`` length, width, height.
+    """
+
+    def __init__(self, world: World, shadows: bool) -> None:
+        self._numbers = {name: number for number, name in enumerate(world.vehicles)}
+        patches = packed(list(world.vehicles.values()), world.sun)
+        self._counts = np.diff(patches.group_start) + _SWEEPS * shadows
+        kinds = [VEHICLE_KINDS[kind] for kind, _ in world.vehicles]
+        self.size_m = np.array([(k.length_m, k.width_m, k.height_m) for k in kinds]).reshape(-1, 3)
+        self._models = Models(patches, self.size_m, world.sun, float(world.ground_texels_per_m), bool(shadows))
+
+    def models(self, vehicles: Sequence[VehicleState]) -> NDArray[np.int64]:
+        """Number of each vehicle's model."""
+        return np.array([self._numbers[v.kind, v.colour] for v in vehicles], np.int64)
+
+    def placed(self, models: NDArray[np.int64], states: NDArray[np.float64]) -> PatchSet:
+        """Patches of the vehicles, one group each; vehicle i is rigid body i + 1.
+
+        Args:
+            models: ``(n,)`` numbers.
+            states: of ``moving_states``.
+        """
+        total = int(self._counts[models].sum())
+        patches = PatchSet(
+            geometry=np.empty((total, 9)),
+            texel=np.empty((total, 6)),
+            look=np.empty((total, 13), np.float32),
+            tag=np.empty((total, 4), np.int32),
+            groups=np.empty((len(states), 4)),
+            group_start=np.empty(len(states) + 1, np.int64),
+        )
+        _place(states, models, self._models, patches)
+        return patches
+
+
+def moving_states(vehicles: Sequence[VehicleState]) -> NDArray[np.float64]:
+    """``(n, 5)`` x and y [m], yaw [rad], speed [m/s] and yaw rate [rad/s], one row a vehicle."""
+    states = [(v.x_m, v.y_m, v.yaw_rad, v.speed_mps, v.yaw_rate_radps) for v in vehicles]
+    return np.array(states, np.float64).reshape(-1, 5)
+
+
+@compiled_unchecked
+def body_motions(states: Float64s, dt_s: float) -> tuple[Float64s, Float64s]:
+    """Motions of the map frame that carry the rigid bodies ``dt_s`` seconds on: the world, which stands, and vehicles.
+
+    Args:
+        states: of ``moving_states``.
+        dt_s: seconds.
+
+    Returns:
+        Rotations ``(1 + n, 3, 3)`` and translations ``(1 + n, 3)``.
+    """
+    turns, shifts = np.zeros((1 + len(states), 3, 3)), np.zeros((1 + len(states), 3))
+    turns[0, 0, 0] = turns[0, 1, 1] = turns[0, 2, 2] = 1.0
+    for n, (x, y, yaw, speed, yaw_rate) in enumerate(states, 1):
+        c, s = np.cos(yaw_rate * dt_s), np.sin(yaw_rate * dt_s)
+        turns[n, 0, 0], turns[n, 0, 1], turns[n, 1, 0], turns[n, 1, 1], turns[n, 2, 2] = c, -s, s, c, 1.0
+        shifts[n, 0] = x + speed * dt_s * np.cos(yaw) - (c * x - s * y)
+        shifts[n, 1] = y + speed * dt_s * np.sin(yaw) - (s * x + c * y)
+    return turns, shifts

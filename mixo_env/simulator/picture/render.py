@@ -1,0 +1,227 @@
+"""Pictures of the city: ``Renderer(world, weather).render(...)`` is what the rest of the simulator calls."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixo_env.errors import ConfigurationError
+from mixo_env.nuscenes.scene import CameraCalibration
+from mixo_env.simulator.city.shadows import EXTENT_M
+from mixo_env.simulator.city.textures import quads
+from mixo_env.simulator.city.vehicles import VehicleState
+from mixo_env.simulator.city.world import World
+from mixo_env.simulator.picture.exposure import during_exposure
+from mixo_env.simulator.picture.fleet import Fleet, moving_states
+from mixo_env.simulator.picture.lamps import add_glare, light_window
+from mixo_env.simulator.picture.mirror import mirror_road
+from mixo_env.simulator.picture.rain import add_spray, spray_puffs
+from mixo_env.simulator.picture.rasterizer import DepthBuffers
+from mixo_env.simulator.picture.sampling import even_cells
+from mixo_env.simulator.picture.sensor import NOISE_SIDE, Sensor, expose, mean_radiance
+from mixo_env.simulator.picture.shading import shade
+from mixo_env.simulator.picture.spans import Canvas, Shot
+from mixo_env.simulator.picture.views import LIGHT, Daylight, Lamps, Textures, View
+from mixo_env.simulator.picture.weather import Weather, weather_named
+
+EXPOSURE_LAG = 0.25
+"""Share of the way to the wanted exposure that the control goes from one image to the next."""
+
+RADIANCE_UNIT = 32768.0
+"""Integer radiance of a white surface in full daylight; the largest is eight times that."""
+
+GLARE = 0.12
+"""Share of the light above white that lens and air scatter at night."""
+
+_WIDEST_PX = 1600  # the table of noise is as wide as such a row of pixels needs
+_OFFSET_STEP = 2**32 // NOISE_SIDE  # of 32 random bits, the highest ten
+_VIGNETTE = 0.22  # cos^4 of the angle to the optical axis, whose squared tangent this is at the edge
+
+
+@dataclass(frozen=True)
+class CameraPose:
+    """Where a camera is at one instant.
+
+    Attributes:
+        rotation_map_from_camera: ``(3, 3)``; camera axes x right, y down, z forward.
+        position_m: ``(3,)`` camera centre in the map frame.
+    """
+
+    rotation_map_from_camera: NDArray[np.float64]
+    position_m: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class RenderedImage:
+    """One picture.
+
+    Attributes:
+        image: ``(height, width, 3)`` uint8, red first.
+        gain: exposure to pass to the next image of the same camera.
+    """
+
+    image: NDArray[np.uint8]
+    gain: float
+
+
+class _Memory(NamedTuple):
+    """Working arrays for one picture size.
+
+    Attributes:
+        buffers: what is seen.
+        canvas: what is shaded.
+        images: of the wet road.
+        sensor: with its vignette.
+    """
+
+    buffers: DepthBuffers
+    canvas: Canvas
+    images: NDArray[np.int64]
+    sensor: Sensor
+
+
+class Renderer:
+    """Renders one world in one weather; holds the working memory, so one per process and used for many images.
+
+    Args:
+        world: the city.
+        weather: its name, ``"day"``, ``"rain"`` or ``"night"``, or settings of your own.
+
+    Attributes:
+        weather: the settings; ``weather.shutter_s`` is the exposure time.
+    """
+
+    def __init__(self, world: World, weather: str | Weather = "day") -> None:
+        self.world = world
+        self.weather = weather_named(weather) if isinstance(weather, str) else weather
+        self._sizes: dict[tuple[int, int], _Memory] = {}
+        columns = 3 * _WIDEST_PX + NOISE_SIDE
+        self._noise = np.random.default_rng(20).standard_normal((NOISE_SIDE, columns), np.float32)
+        self._fleet = Fleet(world, shadows=self.weather.sun > 0.0)
+        self._daylight = Daylight(world.sunlight, even_cells(world.sunlight), world.shadow_height)
+        self._textures = Textures(
+            world.texels,
+            world.table,
+            world.detail,
+            world.detail_start,
+            quads(world.sky).ravel(),
+            float(world.ground_texels_per_m),
+            self.weather.grain_levels,
+        )
+        self._no_lamps = Lamps(np.zeros((1, 1), np.float32), np.zeros(2), np.zeros(8))
+        self._light = _light(self.weather)
+        # Radiance of the air as one packed word: what spray looks like.
+        self._air = sum(int(RADIANCE_UNIT * part) << 21 * place for place, part in enumerate(self.weather.haze))
+
+    def render(
+        self,
+        calibration: CameraCalibration,
+        start: CameraPose,
+        end: CameraPose,
+        vehicles: Sequence[VehicleState] = (),
+        *,
+        gain: float | None = None,
+        noise_seed: int = 0,
+    ) -> RenderedImage:
+        """One picture.
+
+        Args:
+            calibration: intrinsics and image size; the mounting only aims the head lights.
+            start: of the camera when the shutter opens.
+            end: when it closes, ``weather.shutter_s`` later.
+            vehicles: at the middle of the exposure, the instant that the picture shows.
+            gain: from the previous picture of this camera, ``None`` for the first (exposed for itself).
+            noise_seed: seed of the sensor noise; different for every picture.
+        """
+        world, weather = self.world, self.weather
+        memory = self._memory(calibration.height, calibration.width)
+        x_m, y_m = (0.5 * (start.position_m.item(i) + end.position_m.item(i)) for i in range(2))
+        near = [v for v in vehicles if math.hypot(v.x_m - x_m, v.y_m - y_m) < weather.sight_m]
+        states, models = moving_states(near), self._fleet.models(near)
+        rotation, position, motion = during_exposure(
+            start.rotation_map_from_camera,
+            start.position_m,
+            end.rotation_map_from_camera,
+            end.position_m,
+            states,
+            0.5 * weather.shutter_s,
+        )
+        # What is seen, in which light and how it moves.
+        fx, fy, cx, cy = calibration.intrinsic.take((0, 4, 2, 5)).tolist()
+        view = View(rotation, position, fx, fy, cx, cy, float(weather.sight_m))
+        memory.buffers.draw_patches((self._fleet.placed(models, states), world.static), view, self._textures)
+        seen, radiance = memory.buffers.seen, memory.canvas.radiance
+        lamps = self._lamps(calibration, position, near)
+        shade(Shot(seen, view, self._light, self._textures, self._daylight, lamps, motion), memory.canvas)
+        # Rain.
+        if weather.wetness > 0.0:
+            mirror_road(radiance, seen, view, world.sky, weather.wetness, memory.images)
+            puffs = spray_puffs(states, self._fleet.size_m[models], view, weather.wetness)
+            add_spray(radiance, seen.depth, puffs, view, world.sky, self._air)
+        # Exposure control, glare and the sensor.
+        mean = mean_radiance(radiance) / RADIANCE_UNIT
+        wanted = min(weather.exposure_target / max(mean, 1e-6), weather.largest_gain)
+        used = wanted if gain is None else gain
+        if self._is_dark:
+            add_glare(radiance, RADIANCE_UNIT / used, GLARE)
+        image = np.empty((calibration.height, calibration.width, 3), np.uint8)
+        offset = _noise_offsets(noise_seed, calibration.height)
+        expose(radiance, memory.canvas.flow, offset, used / RADIANCE_UNIT, memory.sensor, image)
+        return RenderedImage(image, used + EXPOSURE_LAG * (wanted - used))
+
+    @property
+    def _is_dark(self) -> bool:
+        """Whether lamps light anything."""
+        return self.weather.lamps > self.weather.ambient
+
+    def _lamps(
+        self, calibration: CameraCalibration, position_m: NDArray[np.float64], near: Sequence[VehicleState]
+    ) -> Lamps:
+        """Street lamps and head lights around the camera, those of its own car as well."""
+        if not self._is_dark:
+            return self._no_lamps
+        to_ego = np.column_stack([calibration.rotation_ego_from_camera, calibration.translation_m])
+        return Lamps(*light_window(self.world.lamp_light, EXTENT_M, position_m, near), to_ego[:2].ravel())
+
+    def _memory(self, height: int, width: int) -> _Memory:
+        """Working arrays for one picture size, made once."""
+        if (height, width) not in self._sizes:
+            if width > _WIDEST_PX:
+                raise ConfigurationError(
+                    f"pictures can be at most {_WIDEST_PX} pixels wide, got {width}: scale the camera"
+                )
+            y, x = np.mgrid[0:height, 0:width]
+            squared = ((x - 0.5 * width) ** 2 + (y - 0.5 * height) ** 2) / (0.5 * width) ** 2
+            # One block, so that the operating system can back all of it with large pages.
+            size = height * width
+            cells = ((height + 1) // 2) * ((width + 1) // 2)
+            block = np.empty(7 * size + size % 2 + 2 * (cells + 1), np.float32)
+            radiance = block[: 2 * size].view(np.int64).reshape(height, width)
+            planes = block[2 * size : 7 * size].reshape(5, height, width)
+            images = block[7 * size + size % 2 :].view(np.int64)
+            planes[4] = (1.0 + _VIGNETTE * squared) ** -2
+            self._sizes[height, width] = _Memory(
+                DepthBuffers(planes[2], planes[3].view(np.int32)),
+                Canvas(radiance, planes[:2]),
+                images,
+                Sensor(planes[4], self._noise, float(self.weather.shot_noise), float(self.weather.read_noise)),
+            )
+        return self._sizes[height, width]
+
+
+def _light(weather: Weather) -> NDArray[np.void]:
+    """Light and air as the loops read them, in integer radiance."""
+    w, unit = weather, RADIANCE_UNIT
+    haze, zenith = ((unit * part for part in colour) for colour in (w.haze, w.zenith))
+    values = (unit * w.ambient, unit * w.sun, w.haze_per_m, *haze, *zenith, w.clouds, unit * w.lamps, w.wetness)
+    return np.array([(*values, *w.colour)], LIGHT)
+
+
+def _noise_offsets(seed: int, height: int) -> NDArray[np.uint32]:
+    """Row and first column of the table of noise for each row of a picture, ``(height, 2)``."""
+    return np.random.PCG64(seed).random_raw(height).view(np.uint32).reshape(height, 2) // _OFFSET_STEP
