@@ -22,9 +22,9 @@ from experiments import stored_figures as stored
 from mixo_env.errors import ConfigurationError, DatasetError
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.store import load_recordings
-from mixo_env.simulator import scenes as simulator_scenes
 from mixo_env.simulator.config import SimulationConfig, SituationShares
 from mixo_env.simulator.dataset import simulate
+from mixo_env.simulator.drive import scenes as simulator_scenes
 from tests.synthetic import synthetic_recordings
 
 DOCS = Path(__file__).parent.parent / "docs"

@@ -7,7 +7,7 @@ import pytest
 
 from mixo_env.geometry import yaw_from_quaternion_wxyz
 from mixo_env.nuscenes.selections import ALL_CAMERAS, CAMERA_OFFSET_US
-from mixo_env.simulator import rig as rigs
+from mixo_env.simulator.drive import rig as rigs
 from mixo_env.simulator.drive.clock import MAX_STAMP_ERROR_US, scene_times
 from mixo_env.simulator.drive.drive import plan_drive
 from mixo_env.simulator.drive.localisation import localise
