@@ -155,9 +155,7 @@ def can_bus() -> CanBus:
 def filter_rates() -> bytes:
     """All that the inertial odometry of every grade reports, as bytes."""
     times_us = np.arange(50_000, 19_500_000, GAP_US)
-    return b"".join(
-        np.stack(astuple(InertialOdometry(can_bus(), grade).at(times_us))).tobytes() for grade in GRADES
-    )
+    return b"".join(np.stack(astuple(InertialOdometry(can_bus(), grade).at(times_us))).tobytes() for grade in GRADES)
 
 
 def serve() -> None:
