@@ -50,7 +50,7 @@ RICH = (
         0.0,
         10_000.0,
         "count",
-        "estimate: share of the matches solved with that agree with the motion, times all",
+        "estimate: share of matches solved with that agree with motion, times all",
     ),
     Quantity("residual_px", "camera", 0.0, 100.0, "px", "median reprojection residual of the inliers"),
     Quantity("flow_px", "camera", 0.0, 2_000.0, "px", "median displacement of the matches"),

@@ -33,7 +33,7 @@ _LEAST_POINTS = 12  # six unknowns, five of them with priors; few points give a 
 _PACE = 0.01  # distances of two pairs relative to each other: exposure times and wheel speeds are not exact
 _FARTHEST_STD = 4.0  # from the expected yaw: the points are those of a vehicle
 _MIN_INVERSE_DEPTH, _MAX_INVERSE_DEPTH = -0.03, 0.7  # [1/m] far points may seem a little behind infinity
-_SEVERITY = 0.6  # of the redescending weights, as in motion.py
+_SEVERITY = 0.6  # of the redescending weights, as in refine.py
 _ITERATIONS = 6
 _UNKNOWNS = ("yaw_rad", "pitch_rad", "roll_rad", "slip_m", "heave_m")
 

@@ -9,6 +9,7 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mixo_env.compiled import compiled
 from mixo_env.experts.monocular.depths import MAX_INVERSE_DEPTH, FloatArray, Matches, Mounting, least_inverse_depths
@@ -104,7 +105,7 @@ class Refined(NamedTuple):
     """
 
     unknowns: FloatArray
-    covariance: FloatArray
+    covariance: NDArray[np.floating]
     noise: float
     residual: FloatArray
 
