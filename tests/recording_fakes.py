@@ -12,7 +12,7 @@ import simplejpeg
 
 from mixo_env.errors import DatasetError
 from mixo_env.experts.expert import CameraStep, State
-from mixo_env.experts.inertial import InertialTrack
+from mixo_env.experts.inertial import InertialEstimate
 from mixo_env.nuscenes.scene import CameraCalibration, CameraTrack, CanBus, ExactPoses, Scene, Signal
 from mixo_env.nuscenes.selections import CAMERA_OFFSET_US, CAMERAS, LIDAR_PERIOD_US
 from mixo_env.recordings.steps import Experts
@@ -114,12 +114,12 @@ class FakeInertial:
             raise DatasetError(f"{grade} needs its messages")
         self.gyro, self.wheels = gyro, can_bus.wheel_speed_radps
 
-    def at(self, timestamps_us: np.ndarray) -> InertialTrack:
+    def at(self, timestamps_us: np.ndarray) -> InertialEstimate:
         assert np.all(np.diff(timestamps_us) > 0)
         speed = 0.305 * self.wheels.value.mean(axis=1)
         seen = np.searchsorted(self.wheels.timestamp_us, timestamps_us, side="right")
         turned = np.searchsorted(self.gyro.timestamp_us, timestamps_us, side="right")
-        return InertialTrack(
+        return InertialEstimate(
             distance_m=np.concatenate([[0.0], np.cumsum(0.01 * speed)])[seen],
             speed_mps=speed[seen - 1],
             yaw_rad=np.concatenate([[0.0], np.cumsum(0.01 * self.gyro.value)])[turned],

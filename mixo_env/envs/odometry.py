@@ -56,7 +56,7 @@ class MixoOdometryEnv(PlainSpec, gym.Env[Any, Any]):  # pyright: ignore[reportIn
     | `yaw_rates` | N | -3.1416 to 3.1416 | rad/s | yaw rate over this step, substituted if lost |
     | `dt` | 1 | 0 to 1 | s | duration of this step |
     | `available` | N | 0 to 1 | 0 or 1 | the expert delivered an increment of its own |
-    | `inliers` | C | 0 to 10000 | count | matches that agree with the motion |
+    | `inliers` | C | 0 to 10000 | count | estimate: share of matches solved with that agree with motion, times all |
     | `residual_px` | C | 0 to 100 | px | median reprojection residual of the inliers |
     | `flow_px` | C | 0 to 2000 | px | median displacement of the matches |
     | `state` | C | 0 to 3 | code | 0 initialising, 1 tracking, 2 lost, 3 no image |

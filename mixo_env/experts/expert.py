@@ -30,7 +30,8 @@ class CameraStep:
             earlier increments: they add up to the best heading; NaN unless TRACKING.
         yaw_std_rad: standard deviation of that increment; NaN unless TRACKING.
         matches: features matched with the previous image.
-        inliers: matches that agree with the motion.
+        inliers: estimate of the matches that agree with the motion. At most ``solver_matches`` matches, evenly picked,
+            are solved with; the share of these that agree is extrapolated to all ``matches`` (rounded).
         residual_px: median reprojection residual of the inliers; NaN without inliers.
         flow_px: median displacement of the matches; NaN without matches.
         two_frame_yaw_increment_rad: the same increment from the last two images alone, no memory; NaN when it fails.

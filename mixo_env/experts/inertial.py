@@ -27,7 +27,7 @@ GRADES = ("INERTIAL", "INERTIAL_POSE", "INERTIAL_CONSUMER")
 """Wheels + ``ms_imu``; CAN ``pose`` as in the paper; wheels + production-grade gyro, else ``vehicle_monitor``."""
 
 WHEEL_RADIUS_M = 0.305
-"""Nominal, from the devkit's CAN bus tutorial; what a vehicle's tyres add is ``wheel_scale``."""
+"""Nominal, from the devkit's CAN bus tutorial; what a vehicle's tyres add is fitted in recordings/vehicles.py."""
 
 SPEED_VARIANCE = 0.1
 """First entry of the paper's R, in m^2/s^2."""
@@ -71,7 +71,7 @@ SAME_START_S = 0.05
 
 
 @dataclass(frozen=True)
-class InertialTrack:
+class InertialEstimate:
     """Inertial odometry at the times asked for, ``(n,)`` each.
 
     Distance and yaw count from the first speed message, so they may be slightly negative at the first images; only
@@ -109,8 +109,6 @@ class InertialOdometry:
         self,
         can_bus: CanBus,
         grade: str = "INERTIAL",
-        wheel_scale: float = 1.0,
-        can_latency_s: float = 0.0,
         process_noise: ProcessNoise | None = None,
     ) -> None:
         """Filter all messages of a scene.
@@ -118,22 +116,18 @@ class InertialOdometry:
         Args:
             can_bus: of the scene.
             grade: one of ``GRADES``.
-            wheel_scale: true distance over distance from the nominal wheel radius, a constant of the vehicle.
-            can_latency_s: arrival minus measurement of the wheel messages, a constant of the vehicle. A message is
-                used from its arrival on, as a measurement of the earlier time.
             process_noise: other than the fitted default, for studies.
 
         Raises:
             ConfigurationError: unknown grade.
             DatasetError: a message the grade needs is missing.
         """
-        speed, yaw_rate = grade_inputs(can_bus, grade, wheel_scale)
+        speed, yaw_rate = grade_inputs(can_bus, grade)
         noise = process_noise or ProcessNoise()
-        latency_us = 0 if grade == "INERTIAL_POSE" else round(1e6 * can_latency_s)
-        self._distance = RateFilter.run(speed, SPEED_VARIANCE, noise.acceleration, latency_us)
+        self._distance = RateFilter.run(speed, SPEED_VARIANCE, noise.acceleration)
         self._yaw = RateFilter.run(yaw_rate, YAW_RATE_VARIANCE[grade], noise.yaw_acceleration)
 
-    def at(self, timestamps_us: IntArray) -> InertialTrack:
+    def at(self, timestamps_us: IntArray) -> InertialEstimate:
         """Evaluate at ascending times.
 
         Args:
@@ -146,17 +140,17 @@ class InertialOdometry:
         time = np.asarray(timestamps_us, dtype=np.int64)
         if np.any(np.diff(time) < 0):
             raise ConfigurationError("inertial odometry expects ascending times: sort them first")
-        first_us = self._distance.available_us[0]
+        first_us = self._distance.time_us[0]
         if len(time) and time[0] < first_us - FIRST_MESSAGE_S * 1e6:
             late_s = 1e-6 * (first_us - time[0])
             raise DatasetError(
                 f"the CAN bus begins {late_s:.2f} s after the first image: at most {FIRST_MESSAGE_S} s is fine"
             )
-        knows_start = bool(self._yaw.available_us[0] - first_us <= SAME_START_S * 1e6)
+        knows_start = bool(self._yaw.time_us[0] - first_us <= SAME_START_S * 1e6)
         distance_m, speed_mps = self._distance.at(time)
         yaw_rad, yaw_rate_radps = self._yaw.at(time, knows_start)
         yaw_variance_rad2 = np.cumsum(self._yaw.increment_variance(time, knows_start))
-        return InertialTrack(distance_m, speed_mps, yaw_rad, yaw_rate_radps, yaw_variance_rad2)
+        return InertialEstimate(distance_m, speed_mps, yaw_rad, yaw_rate_radps, yaw_variance_rad2)
 
 
 def standstill_bias(rate: Signal, wheel_speed_radps: Signal) -> FloatArray:
@@ -180,7 +174,7 @@ def standstill_bias(rate: Signal, wheel_speed_radps: Signal) -> FloatArray:
     return np.cumsum(np.where(stands, rate.value, 0.0)) / np.maximum(count, 1)
 
 
-def grade_inputs(can_bus: CanBus, grade: str, wheel_scale: float = 1.0) -> tuple[Signal, Signal]:
+def grade_inputs(can_bus: CanBus, grade: str) -> tuple[Signal, Signal]:
     """Speed in m/s and yaw rate in rad/s of a grade, bias taken off where the grade does so."""
     if grade not in GRADES:
         raise ConfigurationError(unknown("inertial grade", grade, GRADES))
@@ -194,7 +188,7 @@ def grade_inputs(can_bus: CanBus, grade: str, wheel_scale: float = 1.0) -> tuple
         production = can_bus.consumer_yaw_rate_radps
         rate = production or _require(can_bus.monitor_yaw_rate_radps, grade, "vehicle_monitor")
     # The mean of the rear wheels is the speed of the rear axle's middle, in turns too.
-    speed = Signal(wheels.timestamp_us, wheel_scale * WHEEL_RADIUS_M * wheels.value[:, 2:].mean(axis=1))
+    speed = Signal(wheels.timestamp_us, WHEEL_RADIUS_M * wheels.value[:, 2:].mean(axis=1))
     return speed, Signal(rate.timestamp_us, rate.value - standstill_bias(rate, wheels))
 
 

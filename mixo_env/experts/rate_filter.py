@@ -1,7 +1,7 @@
 """Kalman filter of a quantity whose rate is measured now and then, evaluated causally at any time.
 
-Filtering is filterpy's; this module adds messages at irregular times, a latency, prediction between messages and the
-variance of increments.
+Filtering is filterpy's; this module adds messages at irregular times, prediction between messages and the variance of
+increments.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ class RateFilter:
     """A Kalman filter of [quantity, rate] after each of its ``n`` rate messages.
 
     Attributes:
-        available_us: ``(n,)`` when the message arrived.
-        measured_us: ``(n,)`` when it was measured: the time of the state.
+        time_us: ``(n,)`` when the message arrived, taken as the time of its measurement: how late wheel messages are is
+            a constant of the vehicle and is made up for when rows are read (recordings/vehicles.py).
         state: ``(n, 2)``.
         covariance: ``(n, 2, 2)``.
         gain: ``(n, 2)`` Kalman gain of the message.
@@ -31,8 +31,7 @@ class RateFilter:
         noise_density: of the white noise on the rate's derivative.
     """
 
-    available_us: IntArray
-    measured_us: IntArray
+    time_us: IntArray
     state: FloatArray
     covariance: FloatArray
     gain: FloatArray
@@ -40,12 +39,11 @@ class RateFilter:
     noise_density: float
 
     @classmethod
-    def run(cls, rate: Signal, measurement_variance: float, noise_density: float, latency_us: int = 0) -> RateFilter:
-        """Filter all messages of ``rate``, each measured ``latency_us`` before its stamp (else as `run_filter`)."""
+    def run(cls, rate: Signal, measurement_variance: float, noise_density: float) -> RateFilter:
+        """Filter all messages of ``rate``; arguments as :func:`run_filter`."""
         states, covariances, gains, _ = run_filter(rate, measurement_variance, noise_density)
         return cls(
-            available_us=rate.timestamp_us,
-            measured_us=rate.timestamp_us - latency_us,
+            time_us=rate.timestamp_us,
             state=states,
             covariance=covariances,
             gain=gains,
@@ -90,9 +88,9 @@ class RateFilter:
         return variance
 
     def _last_message(self, time_us: IntArray) -> tuple[IntArray, FloatArray]:
-        """Number of the last message that had arrived (-1: none), and seconds since it was measured (or until then)."""
-        last = np.searchsorted(self.available_us, time_us, side="right") - 1
-        return last, 1e-6 * (time_us - self.measured_us[np.maximum(last, 0)]).astype(np.float64)
+        """Number of the last message that had arrived (-1: none), and seconds since then (or until the first)."""
+        last = np.searchsorted(self.time_us, time_us, side="right") - 1
+        return last, 1e-6 * (time_us - self.time_us[np.maximum(last, 0)]).astype(np.float64)
 
     def _predicted_covariance(self, last: int, elapsed: float, known: bool) -> FloatArray:
         if not known:  # a constant unknown rate since then, zero mean, as uncertain as a measurement
@@ -110,9 +108,9 @@ class RateFilter:
         phi = np.eye(2)
         from_us = a_us
         for i in range(last_a + 1, last_b + 1):
-            phi = _transition(1e-6 * (self.measured_us[i] - from_us)) @ phi
+            phi = _transition(1e-6 * (self.time_us[i] - from_us)) @ phi
             phi -= np.outer(self.gain[i], phi[1])  # I - K H with H = [0, 1]
-            from_us = self.measured_us[i]
+            from_us = self.time_us[i]
         return _transition(1e-6 * (b_us - from_us)) @ phi
 
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from mixo_env.geometry import MAD_TO_SIGMA
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.pose_curve import Curve
 from mixo_env.recordings.pose_lag import EARLIEST_S, LATEST_S, as_written
@@ -91,10 +92,10 @@ def fit_pose_lag(recordings: Recordings, sources: Sequence[Turns] | None = None)
     """The lag at which written poses turn like the sources.
 
     That is argmin over lag of the sum of huber([psi(t_e + lag) - psi(t_b + lag) - turn] / sigma_source) with psi the
-    curve through the written yaw, (t_b, t_e] each source's own windows and sigma 1.4826 x the median absolute residual
-    of a source. The curve is moved as a whole; a regression of the residual on the change of the
-    poses' own rate finds some 4 ms less: the noise of that rate attenuates the coefficient, and differences over two
-    steps flatten it (docs/decisions.md has figures).
+    curve through the written yaw, (t_b, t_e] each source's own windows and sigma MAD_TO_SIGMA x the median absolute
+    residual of a source. The curve is moved as a whole; a regression of the residual on the change of the poses' own
+    rate finds some 4 ms less: the noise of that rate attenuates the coefficient, and differences over two steps flatten
+    it (docs/decisions.md has figures).
 
     The standard error takes blocks of 2 s as independent (errors of a localisation wander) and as information only
     the changes of rate on which poses and sources agree: noise of the poses says nothing about their lag.
@@ -170,7 +171,7 @@ class _Windows:
     def sigma_rad(self, lag_s: float) -> FloatArray:
         """``(windows,)`` robust standard deviation of the residuals of each window's source."""
         size = np.abs(self._residual(lag_s))
-        sigma = [1.4826 * np.median(size[own]) for own in self._owned()]
+        sigma = [MAD_TO_SIGMA * np.median(size[own]) for own in self._owned()]
         return np.maximum(sigma, _LEAST_SIGMA_RAD)[self._source]
 
     def _owned(self) -> list[NDArray[np.bool_]]:

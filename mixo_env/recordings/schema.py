@@ -60,7 +60,7 @@ CAMERA_COLUMNS: dict[str, str] = {
     "own_window_truth_yaw_increment_rad": "float64",  # from the poses at the camera's own times
     "yaw_std_rad": "float32",  # standard deviation of the carried increment
     "matches": "float32",  # matched features
-    "inliers": "float32",
+    "inliers": "float32",  # estimate: share in agreement among the matches solved with (at most 800), times matches
     "residual_px": "float32",  # median reprojection residual of the inliers
     "flow_px": "float32",  # median optical flow of the matches
 }

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from mixo_env.errors import DatasetError
 from mixo_env.experts.expert import CameraExpert, CameraStep, State
-from mixo_env.experts.inertial import InertialTrack
+from mixo_env.experts.inertial import InertialEstimate
 from mixo_env.nuscenes.images import read_jpeg
 from mixo_env.nuscenes.scene import CameraCalibration, CameraTrack, CanBus, Scene
 from mixo_env.recordings.carry import carry_camera
@@ -49,7 +49,7 @@ BROKEN_IN_A_ROW = 10
 class InertialExpert(Protocol):
     """Causal inertial odometry of one scene."""
 
-    def at(self, timestamps_us: NDArray[np.int64]) -> InertialTrack:
+    def at(self, timestamps_us: NDArray[np.int64]) -> InertialEstimate:
         """Evaluate at increasing times; the value at t uses messages up to t only."""
         ...
 
@@ -134,10 +134,10 @@ def record_scene(scene: Scene, experts: Experts) -> tuple[Columns, Columns]:
     return columns, {name: np.concatenate([timing[name] for timing in timings]) for name in TIMING_COLUMNS}
 
 
-def _record_grade(columns: Columns, grade: str, track: InertialTrack) -> None:
-    """Increments of one inertial grade over the steps, from its track at the closing times."""
-    columns[f"{grade}.yaw_increment_rad"][1:] = np.diff(track.yaw_rad)
-    columns[f"{grade}.yaw_std_rad"][1:] = np.sqrt(np.diff(track.yaw_variance_rad2))
+def _record_grade(columns: Columns, grade: str, estimate: InertialEstimate) -> None:
+    """Increments of one inertial grade over the steps, from its estimate at the closing times."""
+    columns[f"{grade}.yaw_increment_rad"][1:] = np.diff(estimate.yaw_rad)
+    columns[f"{grade}.yaw_std_rad"][1:] = np.sqrt(np.diff(estimate.yaw_variance_rad2))
 
 
 def _run_camera(

@@ -24,15 +24,16 @@ from mixo_env.experts.monocular.camera import MountedCamera
 from mixo_env.experts.monocular.kinematics import camera_motion, never_zero
 from mixo_env.experts.monocular.motion import Motion, MotionPrior
 from mixo_env.experts.monocular.pair import Pair
+from mixo_env.geometry import MAD_TO_SIGMA
 
 FloatArray = NDArray[np.float64]
 
 _SHORTEST_M = 0.1  # a standing camera gives points no depth (and its turn is seen well by two images)
-_LEAST_TRACKS = 12  # six unknowns, five of them with priors; few points give a large standard deviation
+_LEAST_POINTS = 12  # six unknowns, five of them with priors; few points give a large standard deviation
 _PACE = 0.01  # distances of two pairs relative to each other: exposure times and wheel speeds are not exact
 _FARTHEST_STD = 4.0  # from the expected yaw: the points are those of a vehicle
 _MIN_INVERSE_DEPTH, _MAX_INVERSE_DEPTH = -0.03, 0.7  # [1/m] far points may seem a little behind infinity
-_SEVERITY = 0.6  # of the redescending weights, as in motion.py
+_SEVERITY = 0.6  # of the redescending weights, as in refine.py
 _ITERATIONS = 6
 _UNKNOWNS = ("yaw_rad", "pitch_rad", "roll_rad", "slip_m", "heave_m")
 
@@ -152,14 +153,14 @@ def _second_motion(
                 g[k] += weight * jacobian[i, k] * along[i]
                 for j in range(6):
                     h[k, j] += weight * jacobian[i, k] * jacobian[i, j]
-        if used < _LEAST_TRACKS:
+        if used < _LEAST_POINTS:
             return math.nan, math.nan
         for k in range(6):
             h[k, k] += (sigma / std[k]) ** 2
             g[k] += (sigma / std[k]) ** 2 * (x[k] - mean[k])
         x -= np.linalg.solve(h, g)
         if iteration > 0:
-            sigma = max(1.4826 * np.median(error[:used]), 0.2 * noise)
+            sigma = max(MAD_TO_SIGMA * np.median(error[:used]), 0.2 * noise)
     return x[0], sigma * math.sqrt(np.linalg.inv(h)[0, 0])
 
 
@@ -185,7 +186,7 @@ def turn_change(
     _, first, second = np.intersect1d(last.corner[:, 1], pair.corner[:, 0], assume_unique=True, return_indices=True)
     agree = last_motion.inlier[first] & motion.inlier[second]
     first, second = first[agree], second[agree]
-    if len(first) < _LEAST_TRACKS:
+    if len(first) < _LEAST_POINTS:
         return None
     offset, offset_std = prior.offset()
     yaw_rad, std_rad = _second_motion(

@@ -34,7 +34,7 @@ class MonocularConfig:
             much per second (standard deviation); four times as much, and the camera is lost.
         solver_matches: at most so many matches, evenly picked, enter the motion solver.
         min_matches: fewer matches and the camera is lost (50 in the paper).
-        min_inliers: fewer matches in agreement with the motion and the camera is lost.
+        min_inliers: fewer matches in agreement with the motion (an estimate) and the camera is lost.
         max_yaw_std_rad: an increment less certain than this is not reported: the camera is lost.
         max_gap_s: a longer time between two images cannot be bridged: the camera is lost.
         initial_matches: matches a pair must have to count for initialisation.

@@ -42,8 +42,8 @@ class MonocularOdometry:
     A turn is expected from the last good pair. One pair alone that is more than four standard deviations (of both
     together) from it is most likely ruled by a vehicle; it is solved again about the expectation, and TRACKING goes on.
     But solving so confirms whatever is expected if only a vehicle moves along with it, and would for ever. Therefore
-    the second such pair in a row, or any while there is no track, is not good: nobody can tell which of both is wrong.
-    Nothing is learnt from it, so the expectation widens with its age until the pairs alone agree with it again.
+    the second such pair in a row, or any while the state is not TRACKING, is not good: nobody can tell which of both is
+    wrong. Nothing is learnt from it, so the expectation widens with its age until the pairs alone agree with it again.
 
     Increments add up to the best heading known: what an image tells about earlier ones that were reported is part of
     its increment. The stateless increment of its pair alone is given too.
@@ -127,6 +127,7 @@ class MonocularOdometry:
         config, last = self.config, self._solved
         self._solved = None
         found = None if pair is None else pair.motion
+        # Estimate: only a sample of the matches is solved with. Aligning all for a true count would cost as much again.
         share = 0.0 if found is None else float(np.mean(found.inlier))
         inliers = 0 if pair is None else round(share * pair.matches)
         sure = found is not None and inliers >= config.min_inliers and found.yaw_std_rad <= config.max_yaw_std_rad
