@@ -12,6 +12,9 @@ from numpy.typing import ArrayLike, NDArray
 
 FloatArray = NDArray[np.float64]
 
+MAD_TO_SIGMA = 1.4826
+"""Standard deviation of a normal distribution over its median absolute deviation: 1 / Phi^-1(3/4)."""
+
 
 def wrap_angle_rad(angle_rad: ArrayLike) -> FloatArray:
     """Angle(s) wrapped to (-pi, pi]."""
