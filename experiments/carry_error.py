@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixo_env.errors import MixoError, RecordingError
+from mixo_env.geometry import MAD_TO_SIGMA
 from mixo_env.recordings.carry import OwnWindows, carry, own_windows, scaled_to_step
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.store import load_recordings
@@ -90,7 +91,7 @@ def carry_errors(recordings: Recordings, camera: str) -> dict[str, float]:
     numbers = {"tail": 1e3 * float(np.nanmedian(joined.pop("tail")))}
     for name, values in joined.items():
         if "std" in name:
-            numbers[name] = 1.4826 * float(np.nanmedian(np.abs(values)))
+            numbers[name] = MAD_TO_SIGMA * float(np.nanmedian(np.abs(values)))
         else:
             numbers[name] = float(np.degrees(np.sqrt(np.nanmean(np.square(values)))))
     return {name: numbers[name] for name in COLUMNS}

@@ -15,7 +15,7 @@ from gymnasium import wrappers
 from gymnasium.wrappers import vector as vector_wrappers
 
 import mixo_env
-from mixo_env.envs.wrappers import Standardise, add_disagreement, standardise, transformed
+from mixo_env.envs.wrappers import Standardise, standardise, transformed
 from mixo_env.errors import ConfigurationError, PolicyError
 from tests.synthetic import synthetic_recordings
 
@@ -174,23 +174,6 @@ def test_standardised_observations_have_frozen_training_statistics(observation: 
     (tmp_path / "statistics.json").write_text("{}")
     with pytest.raises(PolicyError, match="statistics"):
         Standardise.load(tmp_path / "statistics.json")
-
-
-def test_disagreement_features_equal_those_of_the_rich_observation() -> None:
-    paper = gym.make_vec("MixoOdometry-v0", 4, recordings=RECORDINGS)
-    rich = gym.make_vec("MixoOdometry-v0", 4, recordings=RECORDINGS, observation="dict")
-    wrapped = transformed(paper, add_disagreement(paper))
-    a, _ = wrapped.reset(seed=0)
-    b, _ = rich.reset(seed=0)
-    for _ in range(60):
-        assert a in wrapped.observation_space
-        # a camera that missed its last image tracks without an increment: the paper's observation cannot tell
-        same = (b["available"][:, :4] > 0).sum(axis=1) == (b["matches"] > 0).sum(axis=1)
-        np.testing.assert_allclose(a[same, -5:], b["disagreement"][same], atol=1e-6)
-        actions = paper.action_space.sample()
-        a, b = wrapped.step(actions)[0], rich.step(actions)[0]
-    both = standardise(paper, before=add_disagreement(paper))
-    assert transformed(paper, both).single_observation_space.shape == (16,)
 
 
 def test_transforms_need_a_flat_observation() -> None:

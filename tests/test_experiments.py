@@ -21,8 +21,8 @@ from mixo_env.policies.playing import play
 from mixo_env.policies.registry import POLICIES, create, names
 from mixo_env.policies.single import Single
 from mixo_env.recordings.collection import Recordings
-from mixo_env.recordings.fitting import substituted_increments
 from mixo_env.recordings.schema import VehicleConstants
+from mixo_env.recordings.substitutes import substituted_increments
 from tests.synthetic import synthetic_recordings
 
 ELSEWHERE = synthetic_recordings(9)

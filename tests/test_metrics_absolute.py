@@ -9,7 +9,7 @@ import pytest
 
 from mixo_env.errors import ConfigurationError, TrajectoryError
 from mixo_env.geometry import rotation_from_quaternion_wxyz, rotation_from_yaw
-from mixo_env.metrics.absolute import absolute_errors, absolute_errors_se2, scene_absolute, scene_aligned_ate_se2
+from mixo_env.metrics.absolute import absolute_errors, absolute_errors_se2, scene_absolute
 from mixo_env.metrics.aggregate import share_above, statistics
 from mixo_env.metrics.alignment import Alignment, NoScaleError, align, align_one_of_many
 from mixo_env.trajectory import Trajectory
@@ -194,17 +194,3 @@ def test_statistics_by_hand():
     assert result.rmse == pytest.approx(np.sqrt(12.5))
     assert result.std == pytest.approx(np.sqrt(3.5))
     assert np.isnan(statistics(np.empty(0)).rmse)
-
-
-def test_scenes_are_aligned_one_by_one():
-    rng = np.random.default_rng(7)
-    scenes = [drive(rng, 40).positions_m[:, :2] for _ in range(3)]
-    scenes[1][:] = scenes[1][0]
-    x, y = np.concatenate(scenes).T
-    offsets = np.array([0, 40, 80, 120])
-    turned = [2.0 * s @ rotation_from_yaw(k + 1.0)[:2, :2].T + k for k, s in enumerate(scenes)]
-    found = scene_aligned_ate_se2(x, y, *np.concatenate(turned).T, offsets)
-    np.testing.assert_allclose(found, 0.0, atol=1e-9)
-    rigid = scene_aligned_ate_se2(x, y, *np.concatenate(turned).T, offsets, "se3")
-    assert rigid[0] > 1.0
-    assert rigid[1] < 1e-9

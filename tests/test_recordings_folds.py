@@ -10,10 +10,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from mixo_env.envs.replay import Replay
 from mixo_env.recordings.collection import Recordings
-from mixo_env.recordings.fitting import DEFAULT_REWARD_SCALE_RAD, substituted_increments, with_fits
+from mixo_env.recordings.fitting import DEFAULT_REWARD_SCALE_RAD, with_fits
 from mixo_env.recordings.folds import contiguous_folds, folds_by_log, with_folds
 from mixo_env.recordings.schema import TRACKS, SceneEntry, VehicleConstants
+from mixo_env.recordings.substitutes import substituted_increments
 from mixo_env.recordings.vehicles import fit_vehicle_constants, training_constants, with_held_out_constants
 from tests.synthetic import synthetic_recordings
 
@@ -163,3 +165,18 @@ def test_vehicle_constants_are_nominal_where_nothing_moves():
     assert set(with_held_out_constants(still).manifest.vehicles.values()) == {VehicleConstants()}
     night = refolded(recordings, [-1] * 4)
     assert training_constants(night) == {"n099": VehicleConstants()}
+
+
+@pytest.mark.parametrize("missing", [("INERTIAL_CONSUMER",), ("INERTIAL", "INERTIAL_CONSUMER")])
+def test_a_lost_camera_is_fitted_with_what_it_is_played_with(missing):
+    recordings = synthetic_recordings(scenes=2)
+    row = 7
+    for expert in (*missing, "CAM_FRONT"):
+        recordings[f"{expert}.yaw_increment_rad"][row] = np.nan
+    fitted = substituted_increments(recordings, "CONSUMER")
+    played = Replay(recordings, track="CONSUMER").votes.increments_rad
+    np.testing.assert_array_equal(np.delete(fitted, recordings.offsets[:-1], axis=0), played)
+    column = recordings.voters("CONSUMER").index("CAM_FRONT")
+    left = recordings["INERTIAL.yaw_increment_rad"][row] if len(missing) == 1 else 0.0
+    assert fitted[row, column] == left
+    assert np.isnan(fitted[recordings.offsets[:-1]]).all()

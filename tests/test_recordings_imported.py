@@ -14,10 +14,11 @@ from mixo_env.fusion import least_squares_weights
 from mixo_env.geometry import multiply_quaternions_wxyz, quaternion_wxyz_from_rotation
 from mixo_env.leaderboard.evaluation import FLOORS
 from mixo_env.policies.registry import POLICIES
-from mixo_env.recordings.fitting import DEFAULT_REWARD_SCALE_RAD, substituted_increments
+from mixo_env.recordings.fitting import DEFAULT_REWARD_SCALE_RAD
 from mixo_env.recordings.importing import read_trajectories, with_imported
 from mixo_env.recordings.names import ROWS, is_reserved
 from mixo_env.recordings.store import load_recordings, save_recordings
+from mixo_env.recordings.substitutes import substituted_increments
 from mixo_env.trajectory import Trajectory, write_kitti, write_tum
 from tests.synthetic import synthetic_recordings
 from tests.trajectories import random_rotation

@@ -52,9 +52,7 @@ class Inspect:
         """Inspect and print."""
         import json
 
-        from rich.console import Console
-        from rich.progress import track
-
+        from mixo_env.cli.progress import progress
         from mixo_env.nuscenes.checks.judge import Inspection, judge, problems_of_folder
         from mixo_env.nuscenes.selecting import chosen
         from mixo_env.nuscenes.tables import open_dataset
@@ -62,10 +60,11 @@ class Inspect:
         dataset = open_dataset(self.root, self.version, self.key_frames)
         cameras = _cameras(dataset, self.cameras)
         names = chosen(dataset, self.scenes, self.selection)
-        console = Console(stderr=True)
-        reports = [
-            judge(dataset, name, cameras) for name in track(names, "inspecting", console=console, transient=True)
-        ]
+        reports = []
+        with progress("inspecting scenes") as report:
+            for name in names:
+                report(len(reports), len(names))
+                reports.append(judge(dataset, name, cameras))
         inspection = Inspection(str(dataset.root), dataset.version, problems_of_folder(dataset), reports)
         if self.json:
             print(json.dumps({"is_sound": inspection.is_sound, **asdict(inspection)}, indent=1))

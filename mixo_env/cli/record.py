@@ -67,9 +67,7 @@ class Record:
 
     def run(self) -> int:
         """Record and say what was recorded."""
-        from rich.console import Console
-        from rich.progress import Progress
-
+        from mixo_env.cli.progress import progress
         from mixo_env.errors import ConfigurationError, unknown
         from mixo_env.experts.monocular.config import MonocularConfig
         from mixo_env.nuscenes.checks.judge import JudgedDataset
@@ -106,16 +104,9 @@ class Record:
             data_version=self.data_version,
             variants=variants,
         )
-        console = Console(stderr=True)
-        with Progress(console=console, transient=True, disable=not console.is_terminal) as bar:
-            task = bar.add_task("recording scenes", total=None)
+        with progress("recording scenes") as report:
             recordings = record(
-                judged,
-                config,
-                self.out,
-                workers=self.workers,
-                progress=lambda done, total: bar.update(task, completed=done, total=total),
-                scheduler=self.scheduler,
+                judged, config, self.out, workers=self.workers, progress=report, scheduler=self.scheduler
             )
         manifest = recordings.manifest
         skipped = len(manifest.parameters["skipped"])

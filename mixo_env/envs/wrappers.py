@@ -7,7 +7,6 @@ env = transformed(env, standardise(env))
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -20,7 +19,6 @@ from gymnasium.wrappers import TransformObservation
 from gymnasium.wrappers.vector import TransformObservation as TransformVectorObservation
 from numpy.typing import NDArray
 
-from mixo_env.envs.observation import median_of_available
 from mixo_env.errors import ConfigurationError, PolicyError
 from mixo_env.files import write_text
 
@@ -88,77 +86,16 @@ class Standardise:
             raise PolicyError(f"{path} holds no observation statistics ({error!r}): save them anew") from None
 
 
-@dataclass(frozen=True)
-class AddDisagreement:
-    """Append every expert's yaw rate minus the median, which ``"paper"`` leaves for the policy to find out.
-
-    A camera without matches is a substitute and has no vote in the median, as in the observation ``"rich"``.
-
-    Attributes:
-        matches: columns of the cameras' match counts.
-        yaw_rates: columns of the experts' yaw rates; the cameras among them are given by ``cameras``.
-        cameras: position of each camera among the experts.
-    """
-
-    matches: slice
-    yaw_rates: slice
-    cameras: tuple[int, ...]
-
-    def __call__(self, observation: FloatArray) -> FloatArray:
-        """The observation, longer by one number per expert."""
-        rates = observation[..., self.yaw_rates]
-        available = np.ones(rates.shape, np.bool_)
-        available[..., list(self.cameras)] = observation[..., self.matches] > 0
-        middle = median_of_available(rates.astype(np.float64), available)
-        return np.concatenate([observation, rates - middle[..., None].astype(np.float32)], axis=-1)
-
-    def space(self, box: spaces.Box) -> spaces.Box:
-        """The Box, longer by one number per expert."""
-        limit = 2 * box.high[self.yaw_rates]
-        return spaces.Box(np.concatenate([box.low, -limit]), np.concatenate([box.high, limit]), dtype=np.float32)
-
-
-@dataclass(frozen=True)
-class Chain:
-    """Transforms one after another."""
-
-    transforms: Sequence[Transform]
-
-    def __call__(self, observation: FloatArray) -> FloatArray:
-        """Apply all, the first one first."""
-        for transform in self.transforms:
-            observation = transform(observation)
-        return observation
-
-    def space(self, box: spaces.Box) -> spaces.Box:
-        """Space of the last one's results."""
-        for transform in self.transforms:
-            box = transform.space(box)
-        return box
-
-
-def standardise(env: AnyEnv, before: Transform | None = None, clip: float = 10.0) -> Transform:
+def standardise(env: AnyEnv, clip: float = 10.0) -> Standardise:
     """Standardisation with the statistics of the training scenes of ``env``, whatever split it plays.
 
     Args:
         env: one of this package's environments, wrapped or not.
-        before: a transform to apply first; the statistics are those of its results.
         clip: largest absolute result [standard deviations].
     """
     flat_box(env)
     observations = env.unwrapped.session.training_observations()  # type: ignore[attr-defined, union-attr]
-    if before is None:
-        return Standardise.fit(observations, clip)
-    return Chain((before, Standardise.fit(before(observations), clip)))
-
-
-def add_disagreement(env: AnyEnv) -> AddDisagreement:
-    """The transform for the experts of ``env``."""
-    flat_box(env)
-    replay = env.unwrapped.session.replay  # type: ignore[attr-defined, union-attr]
-    slices = replay.layout.slices
-    cameras = tuple(replay.experts.index(camera) for camera in replay.cameras)
-    return AddDisagreement(slices["matches"] if cameras else slice(0, 0), slices["yaw_rates"], cameras)
+    return Standardise.fit(observations, clip)
 
 
 def transformed(env: AnyEnv, transform: Transform) -> AnyEnv:

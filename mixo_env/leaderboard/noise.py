@@ -6,6 +6,7 @@ import itertools
 
 import numpy as np
 
+from mixo_env.geometry import MAD_TO_SIGMA
 from mixo_env.recordings.collection import Recordings
 
 NOISE_FLOOR = "NOISE FLOOR"
@@ -16,8 +17,6 @@ DIFFERENCES = 3
 
 GAIN = 20.0
 """Variance of third differences of white noise over that of the noise: 1 + 9 + 9 + 1."""
-
-MAD_TO_STD = 1.4826
 
 
 def yaw_noise_rad(recordings: Recordings) -> float:
@@ -34,4 +33,4 @@ def yaw_noise_rad(recordings: Recordings) -> float:
     ]
     values = np.concatenate(left)
     values = values[np.isfinite(values)]
-    return float(MAD_TO_STD * np.median(np.abs(values)) / np.sqrt(GAIN)) if len(values) else 0.0
+    return float(MAD_TO_SIGMA * np.median(np.abs(values)) / np.sqrt(GAIN)) if len(values) else 0.0

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import dataclass
 
 import numpy as np
 
 from mixo_env.geometry import FloatArray, angle_between_quaternions_rad, wrap_angle_rad
 from mixo_env.metrics.aggregate import scene_rmse
-from mixo_env.metrics.alignment import align_one_of_many
 from mixo_env.metrics.pairs import IntArray, scene_offsets
 from mixo_env.trajectory import Trajectory
 
@@ -59,27 +57,3 @@ def scene_absolute(errors: AbsoluteErrors, offsets: IntArray | None = None) -> S
     """
     offsets = scene_offsets(len(errors.translation_m), offsets)
     return SceneAbsolute(scene_rmse(errors.translation_m, offsets), scene_rmse(errors.rotation_deg, offsets))
-
-
-def scene_aligned_ate_se2(
-    truth_x_m: FloatArray,
-    truth_y_m: FloatArray,
-    x_m: FloatArray,
-    y_m: FloatArray,
-    offsets: IntArray,
-    method: str = "sim3",
-) -> FloatArray:
-    """Translation ATE ``(scenes,)`` [m] after aligning each scene on all its poses.
-
-    No rotation: nearly straight scenes make the rotation after se3 or sim3 meaningless. A scene whose truth or
-    estimate stands has no scale, so sim3 falls back to se3 there.
-    """
-    ate_m = np.full(len(offsets) - 1, np.nan)
-    yaw = np.zeros(len(truth_x_m))
-    for scene, (first, stop) in enumerate(itertools.pairwise(offsets)):
-        rows = slice(first, stop)
-        truth = Trajectory.from_planar(truth_x_m[rows], truth_y_m[rows], yaw[rows])
-        estimate = Trajectory.from_planar(x_m[rows], y_m[rows], yaw[rows])
-        aligned = align_one_of_many(truth, estimate, method)[0].apply(estimate)
-        ate_m[scene] = np.sqrt(np.mean(np.sum((truth.positions_m - aligned.positions_m) ** 2, axis=1)))
-    return ate_m

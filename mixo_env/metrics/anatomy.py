@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mixo_env.geometry import FloatArray, wrap_angle_rad
+from mixo_env.geometry import MAD_TO_SIGMA, FloatArray, wrap_angle_rad
 from mixo_env.metrics.pairs import IntArray, scene_offsets
 from mixo_env.metrics.tracks import BoolArray
 
@@ -111,7 +111,7 @@ def error_anatomy(
     grown[step_end] = step_error
     grown = np.cumsum(grown)
     spread = step_error - np.median(step_error) if len(step_error) else step_error
-    sigma = 1.4826 * np.median(np.abs(spread)) if len(step_error) else 0.0
+    sigma = MAD_TO_SIGMA * np.median(np.abs(spread)) if len(step_error) else 0.0
     outlier = np.abs(spread) > OUTLIER_SIGMAS * sigma
     lost = None if all_lost is None else np.asarray(all_lost, dtype=bool)[step_end]
     return ErrorAnatomy(

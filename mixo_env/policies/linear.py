@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from mixo_env.fusion import least_squares_weights
 from mixo_env.policies.policy import Observation, Policy, Weights
 from mixo_env.recordings.collection import Recordings
-from mixo_env.recordings.fitting import substituted_increments
+from mixo_env.recordings.substitutes import substituted_increments
 
 
 class Linear(Policy):

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mixo_env.geometry import MAD_TO_SIGMA
 from mixo_env.policies.policy import Observation, Policy, Weights
 from mixo_env.recordings.collection import Recordings
 
@@ -16,7 +17,6 @@ EFFICIENCY_95 = 1.345
 ITERATIONS = 8
 SMALLEST_SCALE_RAD = 1e-6
 """Keeps weights finite when an expert is exact on the training scenes."""
-MAD_TO_STD = 1.4826
 
 
 def votes(observation: Observation) -> NDArray[np.bool_]:
@@ -44,7 +44,7 @@ def error_scale_rad(recordings: Recordings, expert: str) -> float:
     """1.4826 x the median absolute error of the expert's own increments; infinite when it never delivered one."""
     error = recordings[f"{expert}.yaw_increment_rad"] - recordings["truth.yaw_increment_rad"]
     error = error[np.isfinite(error)]
-    return max(MAD_TO_STD * float(np.median(np.abs(error))), SMALLEST_SCALE_RAD) if len(error) else np.inf
+    return max(MAD_TO_SIGMA * float(np.median(np.abs(error))), SMALLEST_SCALE_RAD) if len(error) else np.inf
 
 
 class Mean(Policy):

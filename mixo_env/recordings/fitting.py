@@ -8,9 +8,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixo_env.fusion import least_squares_weights, mix
+from mixo_env.geometry import MAD_TO_SIGMA
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.pose_lag import lag_corrected
 from mixo_env.recordings.schema import TRACKS
+from mixo_env.recordings.substitutes import substituted_increments
 
 FloatArray = NDArray[np.float64]
 
@@ -19,24 +21,6 @@ NOTHING_HELD_OUT = "none"
 
 DEFAULT_REWARD_SCALE_RAD = np.deg2rad(0.05)
 """sigma_0 where LINEAR's error says nothing: imported experts, or no scene in any fold."""
-
-MAD_TO_SIGMA = 1.4826
-"""Standard deviation of a normal distribution over its median absolute deviation."""
-
-
-def substituted_increments(recordings: Recordings, track: str) -> FloatArray:
-    """The voters' yaw increments ``(rows, voters)`` [rad] with ``lost="inertial"``.
-
-    A missing increment is replaced by the track's inertial expert; INERTIAL stands in where the track has none or where
-    that one is missing as well. Row 0 of each scene stays NaN.
-    """
-    substitute = recordings["INERTIAL.yaw_increment_rad"].astype(np.float64)
-    inertial = TRACKS[track]
-    if inertial is not None:
-        own = recordings[f"{inertial}.yaw_increment_rad"]
-        substitute = np.where(np.isfinite(own), own, substitute)
-    votes = [recordings[f"{expert}.yaw_increment_rad"] for expert in recordings.voters(track)]
-    return np.stack([np.where(np.isfinite(vote), vote, substitute) for vote in votes], axis=-1)
 
 
 def with_fits(recordings: Recordings) -> Recordings:
