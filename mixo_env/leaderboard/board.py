@@ -106,6 +106,7 @@ def build(
     ground_truth: GroundTruth = "poses",
     outside: Mapping[str, Callable[[], Policy]] | None = None,
     folds: Sequence[int] = (),
+    night: bool = True,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Leaderboard:
     """Run and score policies on every track.
@@ -118,7 +119,8 @@ def build(
         seeds: of every learned policy; its row is the mean of their errors.
         ground_truth: a step from image to image, or from key frame to key frame as in the paper.
         outside: further policies, name -> what makes a new one.
-        folds: score scenes of these only; empty: all, and the night.
+        folds: score scenes of these only; empty: all.
+        night: score also those in no fold, unless ``folds`` says which.
         progress: told what is about to run.
 
     Raises:
@@ -130,14 +132,14 @@ def build(
         recordings, seed=seed, seeds=seeds, ground_truth=ground_truth, outside=outside, tested_folds=folds
     )
     day = Builder(protocol, progress, everything)
-    night = None
-    if protocol.folds and not folds and any(scene.fold == OUT_OF_DISTRIBUTION for scene in recordings.scenes):
-        outside = CrossValidation(
+    dark = None
+    if protocol.folds and night and not folds and any(scene.fold == OUT_OF_DISTRIBUTION for scene in recordings.scenes):
+        nights = CrossValidation(
             recordings, seed=seed, seeds=seeds, ground_truth=ground_truth, out_of_distribution=True, outside=outside
         )
         quick = [name for name in chosen if not protocol.expensive(name)]
-        night = Builder(outside, lambda text: progress(f"night, {text}"), everything).board(tracks or TRACKS, quick)
-    return day.board(tracks or TRACKS, chosen, night)
+        dark = Builder(nights, lambda text: progress(f"night, {text}"), everything).board(tracks or TRACKS, quick)
+    return day.board(tracks or TRACKS, chosen, dark)
 
 
 def requested(
