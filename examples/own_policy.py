@@ -10,6 +10,7 @@ class Surest(Policy):
     name = "SUREST"
 
     def act(self, observation):
+        """Weights of a batch of scenes."""
         precision = 1.0 / observation["yaw_rate_std"].clip(1e-3) ** 2
         return precision / precision.sum(axis=1, keepdims=True)
 

@@ -59,7 +59,7 @@ def test_the_action_is_that_of_its_own_predict(
     seen = np.random.default_rng(0).normal(0, 3, (50, WIDTH)).astype(np.float32)
     expected, _ = model.predict(seen, deterministic=True)
     np.testing.assert_allclose(act(seen), expected, atol=1e-5)
-    with pytest.raises(ConfigurationError, match="weights: net.zip needs"):
+    with pytest.raises(ConfigurationError, match=r"weights: net\.zip needs"):
         read_network(path, Network(), Playing(weights="softmax" if discrete else "select"))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Collection
+from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 
 from mixo_env.errors import PolicyError, printable
@@ -24,13 +25,19 @@ def plugins(taken: Collection[str]) -> dict[str, EntryPoint]:
     known = {name.casefold() for name in taken}
     for point in entry_points(group=GROUP):
         if not point.name.strip() or printable(point.name) != point.name:
-            _log.warning("distribution %s: %r is no name for a policy: left out", distribution(point), point.name)
+            _warn(f"distribution {distribution(point)}: {point.name!r} is no name for a policy: left out")
         elif point.name.casefold() in known:
-            _log.warning("distribution %s: the name %s is taken by another policy: left out", *told(point))
+            _warn(f"distribution {distribution(point)}: the name {point.name} is taken by another policy: left out")
         else:
             found[point.name] = point
             known.add(point.name.casefold())
     return found
+
+
+@cache
+def _warn(text: str) -> None:
+    """Once a process."""
+    _log.warning("%s", text)
 
 
 def make(point: EntryPoint) -> Policy:
