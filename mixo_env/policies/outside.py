@@ -70,7 +70,8 @@ def resolve(
                 "train, or a file of scenes)"
             )
         function, seen = read_network(path, network, playing)
-        return _frozen(Agent(function, path.stem, seen), path.stem, fitted_on, recordings)
+        name = f"{path.stem} (zip)"
+        return _frozen(Agent(function, name, seen), name, fitted_on, recordings)
     meant = {name.casefold().replace("_", " "): name for name in registry.names(recordings)}
     if found := meant.get(text.casefold().replace("-", " ").replace("_", " ")):
         return Outside(found, lambda: registry.create(found, recordings), builtin=True)
