@@ -19,8 +19,8 @@ import tyro
 
 from mixo_env.errors import MixoError, PolicyError
 from mixo_env.files import write_json
-from mixo_env.leaderboard.board import ONE_FOLD, Table, build
-from mixo_env.policies.registry import names
+from mixo_env.leaderboard.board import Table, build
+from mixo_env.policies.registry import create, names
 from mixo_env.recordings.store import load_recordings
 
 
@@ -67,7 +67,7 @@ def errors_of(table: Table) -> dict[str, float]:
 
 
 def tables_of(recordings: str | None) -> dict[str, Table]:
-    """The leaderboard by track, without the policies of ``ONE_FOLD``.
+    """The leaderboard by track, without expensive policies.
 
     Raises:
         PolicyError: with fewer than two folds: learned rows would come from the reference city.
@@ -75,7 +75,7 @@ def tables_of(recordings: str | None) -> dict[str, Table]:
     loaded = load_recordings(recordings)
     if len({scene.fold for scene in loaded.scenes if scene.fold >= 0}) < 2:
         raise PolicyError(f"{recordings}: expected two folds or more, to learn in the city itself: record more drives")
-    board = build(loaded, policies=[name for name in names(loaded) if name not in ONE_FOLD])
+    board = build(loaded, policies=[name for name in names(loaded) if not create(name, loaded).expensive])
     return {table.track: table for table in board.tables}
 
 

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from experiments import stored_figures as stored
 from mixo_env.errors import ConfigurationError, MixoError
-from mixo_env.leaderboard.board import ONE_FOLD, Table, build
+from mixo_env.leaderboard.board import Table, build
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.store import load_recordings
 
@@ -109,12 +109,12 @@ def table_scores(table: Table) -> dict[str, dict[str, float]]:
 
 
 def leaderboard_scores(recordings: Recordings, choice: Choice) -> Scores:
-    """The leaderboard of one variant: learned policies are fitted anew, those of ``ONE_FOLD`` left out."""
-    from mixo_env.policies.registry import names
+    """The leaderboard of one variant: learned policies are fitted anew, expensive ones left out."""
+    from mixo_env.policies.registry import create, names
 
     chosen = {*choice.plain, *choice.staged}
     scenes = recordings.select(scenes=[scene.name for scene in recordings.scenes if scene.name in chosen])
-    board = build(scenes, policies=[name for name in names(scenes) if name not in ONE_FOLD])
+    board = build(scenes, policies=[name for name in names(scenes) if not create(name, scenes).expensive])
     return {table.track: table_scores(table) for table in board.tables}
 
 

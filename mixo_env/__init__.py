@@ -5,7 +5,9 @@ Importing the package registers the environments, so that ``gymnasium.make("mixo
 
 from __future__ import annotations
 
+from importlib import import_module
 from importlib.metadata import version
+from typing import Any
 
 import gymnasium
 
@@ -20,3 +22,11 @@ ENVIRONMENTS = {
 for _id, _entry_point in ENVIRONMENTS.items():
     if _id not in gymnasium.registry:
         gymnasium.register(_id, entry_point=f"{_entry_point}Env", vector_entry_point=f"{_entry_point}VectorEnv")
+
+
+def score(policy: Any, recordings: Any = None, track: str = "VISION", **options: Any) -> Any:
+    """Score a policy from outside: see :func:`mixo_env.leaderboard.stranger.score`, imported when it is needed.
+
+    By name, because compiled code is kept by what its modules import, and every module imports this one.
+    """
+    return import_module("mixo_env.leaderboard.stranger").score(policy, recordings, track, **options)

@@ -15,13 +15,11 @@ from mixo_env.leaderboard.evaluation import FLOORS, Course, noisy_truth
 from mixo_env.leaderboard.noise import NOISE_FLOOR
 from mixo_env.leaderboard.rows import Row, Scorer
 from mixo_env.policies.linear import Linear
+from mixo_env.policies.policy import Policy
 from mixo_env.policies.registry import names as policy_names
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.folds import OUT_OF_DISTRIBUTION
 from mixo_env.recordings.schema import TRACKS
-
-ONE_FOLD = ("PPO",)
-"""Policies too slow to train for every fold: they are tested on the last one only, and compared there."""
 
 RANKING_LOGS = 10
 """Drives needed before an order of rows means anything; fewer only show that everything works."""
@@ -35,7 +33,7 @@ class Table:
         track: its name.
         rows: tested on every scene, in the order of the registry, floors last.
         comparisons: of these rows, paired.
-        one_fold: the fold on which ``ONE_FOLD`` policies were tested; ``None`` when there is none.
+        one_fold: the fold on which expensive policies were tested; ``None`` when there is none.
         one_fold_rows: those policies and all other learned ones, scored on that fold alone.
         one_fold_comparisons: of those, paired.
         groups: the rows by condition and by situation.
@@ -106,6 +104,9 @@ def build(
     seed: int = 0,
     seeds: int = 1,
     ground_truth: GroundTruth = "poses",
+    outside: Mapping[str, Callable[[], Policy]] | None = None,
+    folds: Sequence[int] = (),
+    night: bool = True,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Leaderboard:
     """Run and score policies on every track.
@@ -117,26 +118,33 @@ def build(
         seed: of every learned policy and of the bootstrap.
         seeds: of every learned policy; its row is the mean of their errors.
         ground_truth: a step from image to image, or from key frame to key frame as in the paper.
+        outside: further policies, name -> what makes a new one.
+        folds: score scenes of these only; empty: all.
+        night: score also those in no fold, unless ``folds`` says which.
         progress: told what is about to run.
 
     Raises:
-        ConfigurationError: for an unknown track or policy.
+        ConfigurationError: for an unknown track, policy or fold.
         PolicyError: when a policy asked for by name does not fit the recordings.
     """
-    chosen, everything = requested(recordings, tracks, policies), not policies
-    protocol = CrossValidation(recordings, seed=seed, seeds=seeds, ground_truth=ground_truth)
+    chosen, everything = requested(recordings, tracks, policies, tuple(outside or ())), not policies
+    protocol = CrossValidation(
+        recordings, seed=seed, seeds=seeds, ground_truth=ground_truth, outside=outside, tested_folds=folds
+    )
     day = Builder(protocol, progress, everything)
-    night = None
-    if protocol.folds and any(scene.fold == OUT_OF_DISTRIBUTION for scene in recordings.scenes):
-        outside = CrossValidation(
-            recordings, seed=seed, seeds=seeds, ground_truth=ground_truth, out_of_distribution=True
+    dark = None
+    if protocol.folds and night and not folds and any(scene.fold == OUT_OF_DISTRIBUTION for scene in recordings.scenes):
+        nights = CrossValidation(
+            recordings, seed=seed, seeds=seeds, ground_truth=ground_truth, out_of_distribution=True, outside=outside
         )
-        slow = [name for name in chosen if name not in ONE_FOLD]
-        night = Builder(outside, lambda text: progress(f"night, {text}"), everything).board(tracks or TRACKS, slow)
-    return day.board(tracks or TRACKS, chosen, night)
+        quick = [name for name in chosen if not protocol.expensive(name)]
+        dark = Builder(nights, lambda text: progress(f"night, {text}"), everything).board(tracks or TRACKS, quick)
+    return day.board(tracks or TRACKS, chosen, dark)
 
 
-def requested(recordings: Recordings, tracks: Sequence[str], policies: Sequence[str]) -> tuple[str, ...]:
+def requested(
+    recordings: Recordings, tracks: Sequence[str], policies: Sequence[str], outside: Sequence[str] = ()
+) -> tuple[str, ...]:
     """Names of the rows that :func:`build` will run.
 
     Raises:
@@ -145,7 +153,7 @@ def requested(recordings: Recordings, tracks: Sequence[str], policies: Sequence[
     for track in tracks:
         if track not in TRACKS:
             raise ConfigurationError(unknown("track", track, TRACKS))
-    return choose(policies, (*policy_names(recordings), *FLOORS))
+    return choose(policies, (*policy_names(recordings), *outside, *FLOORS))
 
 
 def choose(asked: Sequence[str], valid: Sequence[str]) -> tuple[str, ...]:
@@ -203,8 +211,8 @@ class Builder:
         left_out: dict[str, str] = {}
         for name in chosen:
             self._progress(f"{track}: {name}")
-            folds = self._protocol.folds[-1:] if name in ONE_FOLD else None
             try:
+                folds = self._protocol.tested_folds[-1:] if self._protocol.expensive(name) else None
                 runs.append(self._protocol.run(name, track, folds=folds))
             except PolicyError as error:
                 if not self._lenient:
@@ -214,7 +222,7 @@ class Builder:
         whole = tuple(row for row in rows if row.run.tested.all())
         one_fold, part = None, ()
         if len(whole) < len(rows):
-            one_fold = self._protocol.folds[-1]
+            one_fold = self._protocol.tested_folds[-1]
             scenes = np.array([scene.fold == one_fold for scene in self._protocol.recordings.scenes])
             part = tuple(self._scorer.restrict(row, scenes) for row in rows if row.run.learns)
         recordings = self._protocol.recordings

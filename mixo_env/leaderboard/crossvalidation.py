@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from mixo_env.errors import ConfigurationError, PolicyError
+from mixo_env.errors import ConfigurationError, PolicyError, unknown
 from mixo_env.leaderboard.evaluation import FLOORS, Motion, rollout, with_wheels
 from mixo_env.policies.fitting import drives, prepare
 from mixo_env.policies.policy import Policy
@@ -70,6 +70,7 @@ class CrossValidation:
         recordings: the scenes that are scored, with vehicle constants fitted on the folds that hold none of them, and
             true poses without the lag among those constants.
         folds: those present.
+        tested_folds: those of them that are scored.
         left_out: number of scenes that are not scored.
         foreign: learned policies are fitted on the bundled recordings.
         truths: those of the recordings, the headline first.
@@ -85,9 +86,13 @@ class CrossValidation:
         seeds: int = 1,
         ground_truth: GroundTruth = "poses",
         out_of_distribution: bool = False,
+        outside: Mapping[str, Callable[[], Policy]] | None = None,
+        tested_folds: Sequence[int] = (),
         bundled: Callable[[], Recordings] = load_recordings,
     ) -> None:
         """Divide ``recordings``; when nothing is in a fold, all scenes are scored.
+
+        ``outside`` makes further policies by name; ``tested_folds`` are scored, empty: all.
 
         Raises:
             ConfigurationError: for no seed at all, or when no scene is out of distribution and these are asked for.
@@ -95,11 +100,18 @@ class CrossValidation:
         if seeds < 1:
             raise ConfigurationError(f"seeds: expected 1 or more, got {seeds}")
         self.folds: tuple[int, ...] = tuple(sorted({scene.fold for scene in recordings.scenes if scene.fold >= 0}))
+        for fold in tested_folds:
+            if fold not in self.folds:
+                raise ConfigurationError(unknown("fold", fold, map(str, self.folds)))
+        self.tested_folds: tuple[int, ...] = tuple(sorted(set(tested_folds))) or self.folds
+        self._strangers = dict(outside or {})
         self.foreign = len(self.folds) < 2
         self.seed, self.seeds, self.ground_truth = seed, seeds, ground_truth
         self._inside = recordings.select(folds=self.folds) if self.folds else recordings
         self._outside = out_of_distribution
         tested = recordings.select(folds=[OUT_OF_DISTRIBUTION]) if out_of_distribution else self._inside
+        if tested_folds:
+            tested = self._inside.select(folds=self.tested_folds)
         self._tested = tested
         # Constants of what is tested come from other folds, so all folds take part before the tested are taken out.
         prepared = self._at_clock(with_held_out_constants(recordings if out_of_distribution else self._inside))
@@ -127,6 +139,16 @@ class CrossValidation:
             self._training[fold] = self._at_clock(training)
         return self._training[fold]
 
+    def expensive(self, name: str) -> bool:
+        """Whether a policy says that it is too slow to be fitted for every fold; one that cannot be made says no."""
+        try:
+            return name not in FLOORS and bool(self._create(name).expensive)
+        except PolicyError:
+            return False
+
+    def _create(self, name: str) -> Policy:
+        return self._strangers[name]() if name in self._strangers else create(name, self.recordings)
+
     def run(self, name: str, track: str, *, folds: Sequence[int] | None = None) -> Run:
         """Fit, where there is something to learn, and play through every test scene.
 
@@ -143,7 +165,7 @@ class CrossValidation:
         if name in FLOORS:
             motions = {truth: (FLOORS[name](with_truth(self.recordings, truth)),) for truth in self.truths}
             return Run(name, True, False, motions, everything, {})
-        policy = create(name, self.recordings)
+        policy = self._create(name)
         # Asked once: what is shown to a policy and what the table says of it must be the same.
         learns, privileged = bool(policy.learns), bool(policy.privileged)
         if learns:
@@ -156,7 +178,7 @@ class CrossValidation:
         """Freshly fitted policies per fold, each tested on the scenes it has not seen."""
         entries = self.recordings.scenes
         whole = self.foreign or self._outside
-        tested_folds = (UNFOLDED,) if whole else self.folds if folds is None else tuple(folds)
+        tested_folds = (UNFOLDED,) if whole else self.tested_folds if folds is None else tuple(folds)
         tested = np.array([whole or scene.fold in tested_folds for scene in entries])
         scene_of_row = np.repeat(np.arange(len(entries)), np.diff(self.recordings.offsets))
         increments = {truth: np.zeros((self.seeds, self.recordings.offsets[-1])) for truth in self.truths}
@@ -165,7 +187,7 @@ class CrossValidation:
             here = np.array([whole or scene.fold == fold for scene in entries])
             scenes = self.recordings.select(scenes=[entries[i].name for i in np.flatnonzero(here)])
             for k in range(self.seeds):
-                policy = create(name, self.recordings)
+                policy = self._create(name)
                 policies.setdefault(fold, policy)
                 prepare(policy, self.training(fold), track, seed=self._seed_of(fold, k))
                 for truth, (motion,) in self._play(policy, scenes, track, privileged).items():

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mixo_env.leaderboard.board import ONE_FOLD, RANKING_LOGS, Leaderboard, Table
+from mixo_env.leaderboard.board import RANKING_LOGS, Leaderboard, Table
 from mixo_env.leaderboard.comparisons import Comparison, Comparisons
 from mixo_env.leaderboard.firing_order import FiringOrder, Told, firing_order
 from mixo_env.leaderboard.rows import Row
@@ -80,7 +80,10 @@ def _folds(board: Leaderboard) -> str:
         "folds."
     )
     if any(table.one_fold is not None for table in board.tables):
-        folds += f" {', '.join(ONE_FOLD)} is fitted once and tested on fold {protocol.folds[-1]}."
+        part = {row.name for t in board.tables for row in t.one_fold_rows} - {
+            r.name for t in board.tables for r in t.rows
+        }
+        folds += f" {', '.join(sorted(part))} is fitted once and tested on fold {protocol.tested_folds[-1]}."
     return folds
 
 

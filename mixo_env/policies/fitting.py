@@ -52,7 +52,7 @@ def check(policy: Policy, recordings: Recordings, track: str) -> None:
             f"{policy.name} was fitted for {', '.join(policy.experts) or 'nothing yet'}, but track {track} of these "
             f"recordings has {', '.join(expected)}, in this order: fit it on recordings with these experts"
         )
-    if not policy.learns and not policy.tensors():
+    if not (policy.learns or policy.tensors() or policy.fitted_on):
         return
     if not policy.fitted_on:
         raise PolicyError(f"{policy.name} does not say on which drives it was fitted: fit it with `prepare`")

@@ -32,6 +32,7 @@ class Policy(abc.ABC):
         privileged: whether the policy reads ground truth; its name then says so too. Only a privileged policy finds
             ``truth_yaw_rate`` in its observation.
         learns: whether it is fitted on training scenes, anew for every fold. :meth:`fit` of others is never called.
+        expensive: too slow to fit for every fold; it is then tested on the last one only, and compared there.
         experts: those it weights, in the order of the weights; set by :meth:`start` or :meth:`load`.
         fitted_on: hashes of the drives it was fitted on, where it is refused; set by
             :func:`~mixo_env.policies.fitting.prepare` or :meth:`load`.
@@ -40,6 +41,7 @@ class Policy(abc.ABC):
     name: str
     privileged: ClassVar[bool] = False
     learns: ClassVar[bool] = False
+    expensive: ClassVar[bool] = False
     experts: tuple[str, ...] = ()
     fitted_on: frozenset[str] = frozenset()
 

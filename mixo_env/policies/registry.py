@@ -10,6 +10,7 @@ from mixo_env.policies.gate import Mixo
 from mixo_env.policies.linear import Linear
 from mixo_env.policies.match import HighestMatch
 from mixo_env.policies.oracle import MulticameraGT, OracleAll, OracleHull
+from mixo_env.policies.plugins import make, plugins
 from mixo_env.policies.policy import Policy
 from mixo_env.policies.reinforcement import PPO
 from mixo_env.policies.robust import Huber, Mean, Median
@@ -29,7 +30,8 @@ def names(recordings: Recordings) -> tuple[str, ...]:
     manifest = recordings.manifest
     of = variants(recordings)
     cameras = [name for camera in manifest.cameras for name in (camera, *(v for v in of if of[v] == camera))]
-    return (*manifest.inertial, *manifest.imported, *cameras, *POLICIES)
+    own = (*manifest.inertial, *manifest.imported, *cameras, *POLICIES)
+    return (*own, *plugins(own))
 
 
 def create(name: str, recordings: Recordings) -> Policy:
@@ -37,13 +39,17 @@ def create(name: str, recordings: Recordings) -> Policy:
 
     Raises:
         ConfigurationError: for an unknown name.
+        PolicyError: for a plug-in that cannot be made.
     """
     if name in POLICIES:
         return POLICIES[name]()
     alone = variants(recordings).get(name, name)
     if alone in recordings.experts:
         return Single(alone)
-    raise ConfigurationError(unknown("policy", name, names(recordings)))
+    known = names(recordings)
+    if name in known:
+        return make(plugins(known[: known.index(name)])[name])
+    raise ConfigurationError(unknown("policy", name, known))
 
 
 def load(folder: Path) -> Policy:

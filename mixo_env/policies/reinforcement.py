@@ -32,6 +32,7 @@ class PPO(Policy):
 
     name = "PPO"
     learns = True
+    expensive = True
 
     def __init__(
         self,

@@ -1,0 +1,181 @@
+"""Networks of Stable-Baselines3: the same action as its own predict, and nothing in a zip is ever run."""
+
+from __future__ import annotations
+
+import base64
+import io
+import json
+import os
+import pickle
+import zipfile
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from mixo_env.errors import ConfigurationError, PolicyError
+from mixo_env.policies.agent import Playing
+from mixo_env.policies.sb3 import Network, read_network
+
+WIDTH, EXPERTS = 7, 4
+
+
+class Room(gym.Env[Any, Any]):
+    """Spaces alone."""
+
+    def __init__(self, discrete: bool) -> None:
+        self.observation_space = gym.spaces.Box(-9, 9, (WIDTH,), np.float32)
+        self.action_space = gym.spaces.Discrete(EXPERTS) if discrete else gym.spaces.Box(-1, 1, (EXPERTS,), np.float32)
+
+
+def saved(tmp_path: Path, algorithm: str, discrete: bool, **kwargs: Any) -> tuple[Any, Path]:
+    import stable_baselines3 as sb3
+
+    options = {"buffer_size": 10} if algorithm in ("SAC", "TD3", "DQN") else {}
+    kind = getattr(sb3, algorithm)
+    policy = {"net_arch": [9, 5], **kwargs}
+    model = kind("MlpPolicy", Room(discrete), policy_kwargs=policy, seed=3, device="cpu", **options)
+    model.save(tmp_path / "net.zip")
+    return model, tmp_path / "net.zip"
+
+
+@pytest.mark.parametrize(
+    ("algorithm", "discrete"),
+    [("PPO", False), ("PPO", True), ("A2C", False), ("A2C", True), ("SAC", False), ("TD3", False), ("DQN", True)],
+)
+@pytest.mark.parametrize("activation", [None, "Tanh", "ReLU"])
+def test_the_action_is_that_of_its_own_predict(
+    tmp_path: Path, algorithm: str, discrete: bool, activation: str | None
+) -> None:
+    from torch import nn
+
+    kwargs = {"activation_fn": getattr(nn, activation)} if activation else {}
+    model, path = saved(tmp_path, algorithm, discrete, **kwargs)
+    playing = Playing(weights="select" if discrete else "raw")
+    act, how = read_network(path, Network(), playing)
+    assert how.vectorised
+    seen = np.random.default_rng(0).normal(0, 3, (50, WIDTH)).astype(np.float32)
+    expected, _ = model.predict(seen, deterministic=True)
+    np.testing.assert_allclose(act(seen), expected, atol=1e-5)
+    with pytest.raises(ConfigurationError, match=r"weights: net\.zip needs"):
+        read_network(path, Network(), Playing(weights="softmax" if discrete else "select"))
+
+
+def test_statistics_do_what_vecnormalize_does(tmp_path: Path) -> None:
+    from safetensors.numpy import save_file
+
+    model, path = saved(tmp_path, "PPO", False)
+    rng = np.random.default_rng(1)
+    mean, var = rng.normal(0, 1, WIDTH), rng.uniform(0.1, 2, WIDTH)
+    save_file({"mean": mean, "var": var}, tmp_path / "s.safetensors")
+    act, _ = read_network(path, Network(statistics=tmp_path / "s.safetensors"), Playing())
+    seen = rng.normal(0, 3, (9, WIDTH)).astype(np.float32)
+    normal = np.clip((seen - mean) / np.sqrt(var + 1e-8), -10, 10).astype(np.float32)
+    np.testing.assert_allclose(act(seen), model.predict(normal, deterministic=True)[0], atol=1e-5)
+    (tmp_path / "s.pkl").write_bytes(pickle.dumps(Bomb(tmp_path / "ran")))
+    with pytest.raises(PolicyError, match="is no safetensors file"):
+        read_network(path, Network(statistics=tmp_path / "s.pkl"), Playing())
+    assert not (tmp_path / "ran").exists()
+
+
+class Bomb:
+    """Makes a folder when it is unpickled."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = str(path)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return (os.mkdir, (self.path,))
+
+
+def rewritten(path: Path, **members: bytes | None) -> None:
+    """The zip with other members; ``None`` leaves one out. ``pth`` stands for ``policy.pth``."""
+    with zipfile.ZipFile(path) as archive:
+        held = {name: archive.read(name) for name in archive.namelist()}
+    for name, value in members.items():
+        held[{"pth": "policy.pth"}.get(name, name)] = value  # type: ignore[assignment]
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, value in held.items():
+            if value is not None:
+                archive.writestr(name, value)
+
+
+def torch_bytes(value: Any) -> bytes:
+    import torch
+
+    out = io.BytesIO()
+    torch.save(value, out)
+    return out.getvalue()
+
+
+def test_serialised_keys_of_the_json_are_never_unpickled(tmp_path: Path) -> None:
+    _, path = saved(tmp_path, "PPO", False)
+    evil = base64.b64encode(pickle.dumps(Bomb(tmp_path / "ran"))).decode()
+    with zipfile.ZipFile(path) as archive:
+        data = json.loads(archive.read("data"))
+    data |= {key: {":type:": "x", ":serialized:": evil} for key in ("policy_class", "extra", "observation_space")}
+    rewritten(path, data=json.dumps(data).encode())
+    act, _ = read_network(path, Network(), Playing())
+    assert act(np.zeros((1, WIDTH), np.float32)).shape == (1, EXPERTS)
+    assert not (tmp_path / "ran").exists()
+
+
+def hostile(tmp_path: Path, path: Path, way: str) -> None:
+    import torch
+
+    large = torch.zeros(1).expand(2**16, 2**16)
+    ways: dict[str, dict[str, bytes | None]] = {
+        "pickled code": {"pth": pickle.dumps(Bomb(tmp_path / "ran"))},
+        "pickled code in torch's zip": {"pth": torch_bytes({"a": Bomb(tmp_path / "ran")})},
+        "bomb": {"data": b" " * (65 * 2**20)},
+        "bomb inside": {"pth": _zip(b"\0" * (65 * 2**20))},
+        "huge shape": {"pth": torch_bytes({"mlp_extractor.policy_net.0.weight": large})},
+        "no data": {"data": None},
+        "no network": {"pth": None},
+        "data is no JSON": {"data": b"{"},
+        "deep JSON": {"data": b"[" * 10**6},
+        "shapes": {
+            "pth": torch_bytes(
+                {
+                    "mlp_extractor.policy_net.0.weight": torch.zeros(5, 7),
+                    "mlp_extractor.policy_net.0.bias": torch.zeros(5),
+                    "action_net.weight": torch.zeros(4, 6),
+                    "action_net.bias": torch.zeros(4),
+                    "log_std": torch.zeros(4),
+                }
+            )
+        },
+        "numbers": {"pth": torch_bytes({"action_net.weight": 3})},
+        "other tensors": {"pth": torch_bytes({"a": torch.zeros(2)})},
+    }
+    if way == "no zip":
+        path.write_bytes(b"PK nothing")
+    elif way != "no file":
+        rewritten(path, **ways[way])
+    else:
+        path.unlink()
+
+
+def _zip(content: bytes) -> bytes:
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("archive/data/0", content)
+    return out.getvalue()
+
+
+WAYS = (
+    *("pickled code", "pickled code in torch's zip", "bomb", "bomb inside", "huge shape", "no data", "no network"),
+    *("data is no JSON", "deep JSON", "shapes", "numbers", "other tensors", "no zip", "no file"),
+)
+
+
+@pytest.mark.parametrize("way", WAYS)
+def test_hostile_and_broken_zips_are_one_line_and_run_nothing(tmp_path: Path, way: str) -> None:
+    _, path = saved(tmp_path, "PPO", False)
+    hostile(tmp_path, path, way)
+    with pytest.raises(PolicyError) as error:
+        read_network(path, Network(), Playing())
+    assert "\n" not in str(error.value)
+    assert not (tmp_path / "ran").exists()
