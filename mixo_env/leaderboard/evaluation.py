@@ -14,7 +14,7 @@ from mixo_env.envs.replay import Replay
 from mixo_env.experts.expert import State
 from mixo_env.experts.monocular.config import MonocularConfig
 from mixo_env.fusion import dead_reckon
-from mixo_env.leaderboard.noise import NOISE_FLOOR, yaw_noise_rad
+from mixo_env.leaderboard.noise import NOISE_FLOOR, yaw_noise
 from mixo_env.metrics.absolute import SceneAbsolute, absolute_errors_se2, scene_absolute
 from mixo_env.metrics.pairs import PairRule, Pairs, find_pairs, path_length
 from mixo_env.metrics.relative import RelativeSamples, relative_errors_se2
@@ -93,7 +93,7 @@ def noisy_truth(recordings: Recordings) -> Motion:
 
     An exact estimate would score about as much against poses of this noise; below it nothing is a win.
     """
-    noise = yaw_noise_rad(recordings) * np.random.default_rng(0).standard_normal(recordings.offsets[-1])
+    noise = yaw_noise(recordings).draw(recordings)
     return with_wheels(recordings, recordings["truth.yaw_increment_rad"] + np.diff(noise, prepend=0.0))
 
 
