@@ -207,7 +207,7 @@ def lost_tracks(recordings: Recordings, name: str, *, instantly: bool = False) -
     """Lost tracks behind a row of the leaderboard.
 
     A camera's own for its row, ``None`` for inertial and imported experts and for floors, which have no track to lose;
-    for everything else the times when no camera was tracking.
+    for everything else the times when no camera was tracking (``None`` without cameras).
 
     Args:
         recordings: all scenes.
@@ -226,6 +226,8 @@ def lost_tracks(recordings: Recordings, name: str, *, instantly: bool = False) -
             lost=state == State.LOST,
             observed=state != State.NO_IMAGE,
         )
+    if not cameras:
+        return None
     return count_lost_tracks(np.any([tracking(recordings, c) for c in cameras], axis=0), recordings.offsets)
 
 

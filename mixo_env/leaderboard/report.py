@@ -144,7 +144,7 @@ def print_leaderboard(board: Leaderboard, *, sort: Order = "table", by: Sequence
 
 def fitting(columns: Sequence[str], lines: Sequence[Mapping[str, str]], width: int) -> tuple[str, ...]:
     """As many of the columns, from the left, as ``width`` characters hold of these lines."""
-    wanted = [max(len(text) for text in (column, *(line[column] for line in lines))) + 1 for column in columns]
+    wanted = [max(len(text) for text in (column, *(line[column] for line in lines))) + 2 for column in columns]
     ends = np.cumsum(wanted)
     fit = int((ends <= width).sum())
     return tuple(columns[: max(fit, len(LEAST_COLUMNS))])

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from mixo_env.leaderboard.board import ONE_FOLD, RANKING_LOGS, Leaderboard, Table
+from mixo_env.leaderboard.checks import silent_experts
 from mixo_env.leaderboard.comparisons import Comparison, Comparisons
 from mixo_env.leaderboard.firing_order import FiringOrder, Told, firing_order
 from mixo_env.leaderboard.noise import Source, yaw_noise
@@ -21,7 +22,7 @@ TRUTH_NAMES = {
 
 TOLD_FROM: dict[Source, str] = {
     "cameras and gyro": "what cameras and gyro alike deny; errors the poses share with either stay unseen",
-    "gyro": "white noise only, a weak lower bound: no camera to tell more",
+    "gyro": "white noise only, a weak lower bound: no cameras, or too little driving, to tell more",
     "nothing": "not known: no INERTIAL",
 }
 """How far the noise floor of the truth can be believed."""
@@ -58,6 +59,8 @@ def conventions(board: Leaderboard) -> list[str]:
             f"Noise floor of the truth: {board.noise_floor:.4f} deg/m ({TOLD_FROM[yaw_noise(recordings).source]}); "
             "rows below it have no letter."
         )
+    if silent := silent_experts(recordings):
+        lines.append(f"No increment in any step: {', '.join(silent)}; such a row shows what stands in for it.")
     instantly = {row.name: row for row in board.tables[0].rows if not row.fused and row.lost_instantly}
     if instantly:
         counts = ", ".join(f"{name} {mean_std_text(row, row.lost_instantly)}" for name, row in instantly.items())
