@@ -3,15 +3,16 @@
     python -m experiments.second_city --cities recordings-of-seed-7 recordings-of-seed-8
 
 Each folder is a recording by `mixo record` of a city simulated with another seed. Kendall's tau is taken over the pairs
-of rows that share no letter in the reference: what it cannot tell apart has no order that could be kept.
+of rows that share no letter in the reference: what it cannot tell apart has no order that could be kept. A difference
+of the confirmatory family is *repeated* in a city where it has the same sign with p < .05.
 """
 
 from __future__ import annotations
 
 import itertools
 import sys
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +21,12 @@ import tyro
 from mixo_env.errors import MixoError, PolicyError
 from mixo_env.files import write_json
 from mixo_env.leaderboard.board import Table, build
+from mixo_env.leaderboard.comparisons import LEVEL, Comparison
+from mixo_env.leaderboard.sentences import p_text, percent
 from mixo_env.policies.registry import create, names
 from mixo_env.recordings.store import load_recordings
+from mixo_env.tables import Column
+from mixo_env.tables import Table as TextTable
 
 
 @dataclass(frozen=True)
@@ -80,8 +85,62 @@ def tables_of(recordings: str | None) -> dict[str, Table]:
 
 
 @dataclass(frozen=True)
+class Claim:
+    """One difference of the confirmatory family in one track, in every city.
+
+    Attributes:
+        track: its name.
+        first, second: rows; the difference is first - second, negative where the first is better.
+        found: the same comparison, the reference's first.
+    """
+
+    track: str
+    first: str
+    second: str
+    found: tuple[Comparison, ...]
+
+    @property
+    def repeated(self) -> tuple[bool, ...]:
+        """Of every other city: the same sign as in the reference, with p below 5 %."""
+        reference, *others = self.found
+        return tuple(c.difference.mean * reference.difference.mean > 0.0 and c.p_value < LEVEL for c in others)
+
+    @property
+    def holds(self) -> bool:
+        """Significant in the reference (after Holm) and repeated in every other city."""
+        return self.found[0].p_holm < LEVEL and bool(self.repeated) and all(self.repeated)
+
+    def sentence(self, cities: Sequence[str]) -> str:
+        """What can be said about it, with the numbers of every city."""
+        parts = [
+            f"{city} {percent(c.share)} (p {p_text(c.p_value)}, Holm {p_text(c.p_holm)})"
+            for city, c in zip(cities, self.found, strict=True)
+        ]
+        here = "significant" if self.found[0].p_holm < LEVEL else "not significant"
+        again = [city for city, same in zip(cities[1:], self.repeated, strict=True) if same]
+        verdict = f"{here} in {cities[0]}, repeated in {', '.join(again) or 'no other city'}"
+        return f"{self.track}  {self.first} - {self.second}: {verdict}: " + "; ".join(parts)
+
+
+def claims(tables: Sequence[Mapping[str, Table]]) -> list[Claim]:
+    """The confirmatory family of every track that all cities have, the reference's tables first."""
+    found = []
+    for track, table in tables[0].items():
+        for comparison in table.comparisons.confirmatory:
+            pair = (comparison.first, comparison.second)
+            same = [
+                next((c for c in other[track].comparisons.confirmatory if (c.first, c.second) == pair), None)
+                for other in tables
+            ]
+            there = tuple(c for c in same if c is not None)
+            if len(there) == len(tables):
+                found.append(Claim(track, *pair, there))
+    return found
+
+
+@dataclass(frozen=True)
 class SecondCity:
-    """Compare the order of rows between cities.
+    """Compare the order of rows between cities, and say which differences hold in all of them.
 
     Worked examples:
 
@@ -96,22 +155,47 @@ class SecondCity:
     """File for the result as JSON. None: it is only printed."""
 
     def run(self) -> int:
-        """Score every city and print tau by track."""
-        reference = tables_of(self.reference)
-        result: dict[str, Any] = {}
-        for city in self.cities:
-            for track, table in tables_of(city).items():
-                own = reference[track]
-                found = tau_of_lettered(errors_of(own), own.comparisons.letters, errors_of(table))
-                result.setdefault(city, {})[track] = {
-                    "tau": found.tau,
-                    "pairs": found.pairs,
-                    "reversed": [list(pair) for pair in found.reversed],
+        """Score every city; print tau by track, every row's error, and the confirmatory family."""
+        tables = [tables_of(self.reference), *map(tables_of, self.cities)]
+        names_of_cities = [Path(self.reference or "mixocity").name, *(Path(city).name for city in self.cities)]
+        result: dict[str, Any] = {"tau": {}, "errors": {}, "confirmatory": []}
+        for track, own in tables[0].items():
+            errors = {city: errors_of(table[track]) for city, table in zip(names_of_cities, tables, strict=True)}
+            result["errors"][track] = errors
+            for city in names_of_cities[1:]:
+                found = tau_of_lettered(errors_of(own), own.comparisons.letters, errors[city])
+                result["tau"].setdefault(city, {})[track] = asdict(found)
+                turned = "; ".join(f"{worse} before {better}" for better, worse in found.reversed)
+                print(
+                    f"{city}  {track:9s} tau {found.tau:+.2f} over {found.pairs} pairs that share no letter"
+                    + (f"; reversed: {turned}" if turned else "")
+                )
+            print(_error_table(track, errors).text())
+        for claim in claims(tables):
+            print(claim.sentence(names_of_cities))
+            result["confirmatory"].append(
+                {
+                    "track": claim.track,
+                    "first": claim.first,
+                    "second": claim.second,
+                    "holds": claim.holds,
+                    "repeated": claim.repeated,
                 }
-                print(f"{city}  {track:9s} tau {found.tau:+.2f} over {found.pairs} pairs that share no letter")
+                | {"cities": [asdict(c) | {"share": c.share} for c in claim.found]}
+            )
         if self.out:
             write_json(self.out, result)
         return 0
+
+
+def _error_table(track: str, errors: Mapping[str, Mapping[str, float]]) -> TextTable:
+    """Every row's headline error, best first in the reference."""
+    first, *_ = errors.values()
+    rows = [
+        [row, *(own.get(row, float("nan")) for own in errors.values())] for row in sorted(first, key=lambda r: first[r])
+    ]
+    columns = (Column("policy"), *(Column(city, "deg/m", ".4f") for city in errors))
+    return TextTable(f"{track}: RTE", columns, rows)
 
 
 if __name__ == "__main__":

@@ -14,7 +14,6 @@ from mixo_env.leaderboard.conditions import check_grouping, condition_of, member
 from mixo_env.leaderboard.crossvalidation import CrossValidation
 from mixo_env.leaderboard.evaluation import Course, mean_errors
 from mixo_env.leaderboard.firing_order import best_shares, firing_order, weights_of_one
-from mixo_env.leaderboard.noise import yaw_noise_rad
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.schema import TRACKS
 from mixo_env.recordings.truths import truths_of, with_truth
@@ -233,13 +232,6 @@ def test_real_data_has_a_noise_floor_and_no_letter_below_it(recordings: Recordin
     lettered = set(board.tables[0].comparisons.letters)
     assert lettered == {"CAM_FRONT", "CAM_BACK_RIGHT"} - below
     assert "Noise floor of the truth" in report.to_markdown(board)
-
-
-def test_noise_of_the_truth_is_found_through_what_inertial_cannot_follow(recordings: Recordings) -> None:
-    quiet = recordings.replace(
-        columns={"INERTIAL.yaw_increment_rad": with_truth(recordings, "exact")["truth.yaw_increment_rad"] + 1e-4}
-    )
-    assert yaw_noise_rad(quiet) == pytest.approx(NOISE_RAD, rel=0.08)
 
 
 def test_a_row_that_is_exact_scores_about_the_noise_floor(recordings: Recordings) -> None:

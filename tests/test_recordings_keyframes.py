@@ -34,11 +34,26 @@ def test_steps_between_key_frames_add_up(tmp_path):
             assert rows["INERTIAL.yaw_std_rad"][k] == pytest.approx(spread, rel=1e-4)
             assert rows["CAM_BACK.matches"][k] == pytest.approx(dense["CAM_BACK.matches"][part].mean(), rel=1e-4)
             tracking = np.isfinite(dense["CAM_FRONT.yaw_increment_rad"][part]).all()
-            assert rows["CAM_FRONT.state"][k] == (State.TRACKING if tracking else State.LOST)
+            between = dense["CAM_FRONT.state"][part].tolist()
+            broken = next((s for s in (State.LOST, State.INITIALISING) if s in between), State.NO_IMAGE)
+            assert rows["CAM_FRONT.state"][k] == (State.TRACKING if tracking else broken)
         assert np.isnan(rows["truth.yaw_increment_rad"][0])
     assert set(sparse.manifest.linear_weights["PAPER"]) == {"none", "0", "1", "2"}
     save_recordings(sparse, tmp_path)
     assert len(load_recordings(tmp_path)) == 3
+
+
+def test_a_missed_image_is_no_lost_track_and_a_loss_is_not_forgotten():
+    """Steps of ten rows: one misses an image, one is lost for a row and back, the rest tracks."""
+    recordings = synthetic_recordings(scenes=1, steps=30)
+    rows = recordings.offsets[-1]
+    state, turn = np.full(rows, State.TRACKING, np.int8), np.full(rows, 0.01, np.float32)
+    state[[5, 15]] = State.NO_IMAGE, State.LOST
+    turn[[0, 5, 6, 15]] = np.nan
+    marks = np.arange(rows) % 10 == 0
+    columns = {"is_keyframe": marks, "CAM_FRONT.state": state, "CAM_FRONT.yaw_increment_rad": turn}
+    sparse = at_keyframes(recordings.replace(columns=columns))
+    assert sparse["CAM_FRONT.state"][1:].tolist() == [State.NO_IMAGE, State.LOST, State.TRACKING]
 
 
 def test_what_lies_before_the_first_key_frame_is_left_out():

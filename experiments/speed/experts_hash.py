@@ -25,6 +25,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 import tyro
+from mixo_env.simulator.render import Renderer
+from mixo_env.simulator.rig import nominal_calibration
+from mixo_env.simulator.world import build_world
 from numpy.typing import NDArray
 
 from experiments.speed.rendering import TOUR, camera_pose, traffic
@@ -33,9 +36,6 @@ from mixo_env.experts.monocular.config import MonocularConfig
 from mixo_env.experts.monocular.odometry import MonocularOdometry
 from mixo_env.nuscenes.scene import CameraCalibration, CanBus, Signal
 from mixo_env.nuscenes.selections import ALL_CAMERAS
-from mixo_env.simulator.render import Renderer
-from mixo_env.simulator.rig import nominal_calibration
-from mixo_env.simulator.world import build_world
 
 SIZE = (800, 450)
 """Width and height: full size for preset "fast", which halves nothing that is so small."""

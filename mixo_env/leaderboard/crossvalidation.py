@@ -10,10 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixo_env.errors import ConfigurationError, PolicyError, unknown
+from mixo_env.leaderboard.checks import check_complete
 from mixo_env.leaderboard.evaluation import FLOORS, Motion, rollout, with_wheels
 from mixo_env.policies.fitting import drives, prepare
 from mixo_env.policies.policy import Policy
 from mixo_env.policies.registry import create
+from mixo_env.policies.single import Single
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.drives import drive_hash
 from mixo_env.recordings.folds import OUT_OF_DISTRIBUTION
@@ -96,9 +98,11 @@ class CrossValidation:
 
         Raises:
             ConfigurationError: for no seed at all, or when no scene is out of distribution and these are asked for.
+            RecordingError: where a true pose, a speed or a distance is missing.
         """
         if seeds < 1:
             raise ConfigurationError(f"seeds: expected 1 or more, got {seeds}")
+        check_complete(recordings)
         self.folds: tuple[int, ...] = tuple(sorted({scene.fold for scene in recordings.scenes if scene.fold >= 0}))
         for fold in tested_folds:
             if fold not in self.folds:
@@ -166,6 +170,8 @@ class CrossValidation:
             motions = {truth: (FLOORS[name](with_truth(self.recordings, truth)),) for truth in self.truths}
             return Run(name, True, False, motions, everything, {})
         policy = self._create(name)
+        if not isinstance(policy, Single) and not self.recordings.voters(track):
+            raise PolicyError(f"no expert votes in track {track} of these recordings, they have no cameras")
         # Asked once: what is shown to a policy and what the table says of it must be the same.
         learns, privileged = bool(policy.learns), bool(policy.privileged)
         if learns:

@@ -14,7 +14,7 @@ from mixo_env.envs.replay import Replay
 from mixo_env.experts.expert import State
 from mixo_env.experts.monocular.config import MonocularConfig
 from mixo_env.fusion import dead_reckon
-from mixo_env.leaderboard.noise import NOISE_FLOOR, yaw_noise_rad
+from mixo_env.leaderboard.noise import NOISE_FLOOR, yaw_noise
 from mixo_env.metrics.absolute import SceneAbsolute, absolute_errors_se2, scene_absolute
 from mixo_env.metrics.pairs import PairRule, Pairs, find_pairs, path_length
 from mixo_env.metrics.relative import RelativeSamples, relative_errors_se2
@@ -93,7 +93,7 @@ def noisy_truth(recordings: Recordings) -> Motion:
 
     An exact estimate would score about as much against poses of this noise; below it nothing is a win.
     """
-    noise = yaw_noise_rad(recordings) * np.random.default_rng(0).standard_normal(recordings.offsets[-1])
+    noise = yaw_noise(recordings).draw(recordings)
     return with_wheels(recordings, recordings["truth.yaw_increment_rad"] + np.diff(noise, prepend=0.0))
 
 
@@ -207,7 +207,7 @@ def lost_tracks(recordings: Recordings, name: str, *, instantly: bool = False) -
     """Lost tracks behind a row of the leaderboard.
 
     A camera's own for its row, ``None`` for inertial and imported experts and for floors, which have no track to lose;
-    for everything else the times when no camera was tracking.
+    for everything else the times when no camera was tracking (``None`` without cameras).
 
     Args:
         recordings: all scenes.
@@ -226,6 +226,8 @@ def lost_tracks(recordings: Recordings, name: str, *, instantly: bool = False) -
             lost=state == State.LOST,
             observed=state != State.NO_IMAGE,
         )
+    if not cameras:
+        return None
     return count_lost_tracks(np.any([tracking(recordings, c) for c in cameras], axis=0), recordings.offsets)
 
 

@@ -140,7 +140,7 @@ def _draw_lost(panel: Any, board: Leaderboard, cameras: list[str], steps: slice,
         width = np.maximum(way_m[lost] - way_m[before], 0.5)  # half a metre is still seen when the car stands
         colour = PREFERRED.get(camera, OTHERS[lane % len(OTHERS)])
         panel.broken_barh(list(zip(way_m[before], width, strict=True)), (lane - 0.35, 0.7), facecolors=colour)
-    panel.set_ylim(len(cameras) - 0.5, -0.5)
+    panel.set_ylim(max(len(cameras), 1) - 0.5, -0.5)
     panel.set_yticks(range(len(cameras)), [camera.removeprefix("CAM_").lower() + " lost" for camera in cameras])
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Literal
 
 import numpy as np
@@ -31,7 +31,8 @@ COLUMNS = (
     "> 0.5 m",
 )
 WRITTEN_COLUMN = "written deg/m"
-NARROW_COLUMNS = ("policy", "RTE deg/m", "letters", DIFFERENCES[0])
+LEAST_COLUMNS = ("policy", "RTE deg/m", "letters", DIFFERENCES[0])
+"""Shown however narrow the terminal is; long names of rows then wrap."""
 PRIVILEGED = " †"
 REFERENCE = " *"
 WIDE = 190
@@ -69,12 +70,12 @@ def columns_of(board: Leaderboard) -> tuple[str, ...]:
     return (*COLUMNS, WRITTEN_COLUMN) if len(board.courses) > 1 else COLUMNS
 
 
-def cells(row: Row, comparisons: Comparisons, *, intervals: bool = True) -> dict[str, str]:
+def cells(row: Row, comparisons: Comparisons) -> dict[str, str]:
     """Column -> text of one line of a table."""
     score = row.headline
     line = {
         "policy": row.name + (PRIVILEGED if row.run.privileged else "") + ("" if row.votes else REFERENCE),
-        "RTE deg/m": _interval(score.rotation_deg_per_m, 4, intervals),
+        "RTE deg/m": _interval(score.rotation_deg_per_m, 4, True),
         "letters": comparisons.letters.get(row.name) or "-",
         "RTE %": _interval(score.translation_percent, 2, False),
         "ATE m": f"{score.ate_m:.2f}",
@@ -122,20 +123,31 @@ def to_markdown(board: Leaderboard, *, sort: Order = "table", by: Sequence[Group
 
 
 def print_leaderboard(board: Leaderboard, *, sort: Order = "table", by: Sequence[Grouping] = ()) -> None:
-    """The same on the terminal; a narrow one leaves out intervals and the last columns, which the files keep."""
+    """The same on the terminal; a narrow one leaves out the last columns, which the files keep, but no interval."""
     from rich.console import Console
 
     console = Console(highlight=False, width=None if sys.stdout.isatty() else WIDE)
-    wide = console.width >= WIDE
-    columns = columns_of(board) if wide else NARROW_COLUMNS
+    shown = {table.track: parts(board, table, by) for table in board.tables}
+    every = [cells(row, comparisons) for some in shown.values() for _, rows, comparisons in some for row in rows]
+    columns = fitting(columns_of(board), every, console.width)
     for table in board.tables:
-        for caption, rows, comparisons in parts(board, table, by):
-            console.print(_rich_table(caption, sections(rows, sort), comparisons, columns, wide))
+        for caption, rows, comparisons in shown[table.track]:
+            console.print(_rich_table(caption, sections(rows, sort), comparisons, columns))
         for line in notes(table):
             console.print(line, markup=False)
         console.print()
+    if left_out := [column for column in columns_of(board) if column not in columns]:
+        console.print(f"For want of width without {', '.join(left_out)}: see leaderboard.md.", markup=False)
     for line in (*conventions(board), LEGEND):
         console.print(line, markup=False)
+
+
+def fitting(columns: Sequence[str], lines: Sequence[Mapping[str, str]], width: int) -> tuple[str, ...]:
+    """As many of the columns, from the left, as ``width`` characters hold of these lines."""
+    wanted = [max(len(text) for text in (column, *(line[column] for line in lines))) + 2 for column in columns]
+    ends = np.cumsum(wanted)
+    fit = int((ends <= width).sum())
+    return tuple(columns[: max(fit, len(LEAST_COLUMNS))])
 
 
 def _interval(value: Interval, digits: int, with_ends: bool) -> str:
@@ -145,17 +157,15 @@ def _interval(value: Interval, digits: int, with_ends: bool) -> str:
     return f"{value.mean:.{digits}f}{ends}"
 
 
-def _rich_table(
-    caption: str, groups: Sequence[Sequence[Row]], comparisons: Comparisons, columns: Sequence[str], intervals: bool
-) -> Any:
+def _rich_table(caption: str, groups: Sequence[Sequence[Row]], comparisons: Comparisons, columns: Sequence[str]) -> Any:
     from rich import box
     from rich.table import Table as RichTable
 
     table = RichTable(title=caption, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 0, 0, 1))
     for column in columns:
-        table.add_column(column, justify="left" if column == "policy" else "right", no_wrap=True)
+        table.add_column(column, justify="left" if column == "policy" else "right", no_wrap=column != "policy")
     for group in groups:
         for row in group:
-            texts = cells(row, comparisons, intervals=intervals)
+            texts = cells(row, comparisons)
             table.add_row(*(texts[column] for column in columns), end_section=row is group[-1])
     return table

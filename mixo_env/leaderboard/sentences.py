@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from mixo_env.leaderboard.board import RANKING_LOGS, Leaderboard, Table
+from mixo_env.leaderboard.checks import silent_experts
 from mixo_env.leaderboard.comparisons import Comparison, Comparisons
 from mixo_env.leaderboard.firing_order import FiringOrder, Told, firing_order
+from mixo_env.leaderboard.noise import Source, yaw_noise
 from mixo_env.leaderboard.rows import Row
 from mixo_env.metrics.tracks import LostTracks
 from mixo_env.recordings.schema import TRACKS
@@ -17,6 +19,13 @@ TRUTH_NAMES = {
     "written": "the poses as written",
 }
 """Where no pose has a lag, ``truth`` is what was written, and there is no column of that name."""
+
+TOLD_FROM: dict[Source, str] = {
+    "cameras and gyro": "what cameras and gyro alike deny; errors the poses share with either stay unseen",
+    "gyro": "white noise only, a weak lower bound: no cameras, or too little driving, to tell more",
+    "nothing": "not known: no INERTIAL",
+}
+"""How far the noise floor of the truth can be believed."""
 
 LEGEND = (
     "Lower is better. RTE: pooled relative error, with its 95 % interval; letters: rows that cannot be told apart "
@@ -47,9 +56,11 @@ def conventions(board: Leaderboard) -> list[str]:
     ]
     if board.headline != "exact":
         lines.append(
-            f"Noise floor of the truth: {board.noise_floor:.4f} deg/m (white yaw noise only, a lower bound); rows "
-            "below it have no letter."
+            f"Noise floor of the truth: {board.noise_floor:.4f} deg/m ({TOLD_FROM[yaw_noise(recordings).source]}); "
+            "rows below it have no letter."
         )
+    if silent := silent_experts(recordings):
+        lines.append(f"No increment in any step: {', '.join(silent)}; such a row shows what stands in for it.")
     instantly = {row.name: row for row in board.tables[0].rows if not row.fused and row.lost_instantly}
     if instantly:
         counts = ", ".join(f"{name} {mean_std_text(row, row.lost_instantly)}" for name, row in instantly.items())

@@ -36,6 +36,8 @@ def with_fits(recordings: Recordings) -> Recordings:
     weights: dict[str, dict[str, dict[str, float]]] = {}
     scales: dict[str, float] = {}
     for track in TRACKS:
+        if not recordings.voters(track):  # no cameras, and no inertial expert votes
+            continue
         votes = substituted_increments(recordings, track)
         usable = (folds >= 0) & np.isfinite(truth) & np.isfinite(votes).all(axis=-1)
         present = np.unique(folds[usable])

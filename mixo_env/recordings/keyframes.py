@@ -22,11 +22,11 @@ def at_keyframes(recordings: Recordings) -> Recordings:
     """The recordings with one step from key frame to key frame, as with ``ground_truth="keyframes"`` in the paper.
 
     Increments, distances and times add up; one that is missing in between leaves the whole step without, and its
-    camera LOST. What one carried increment of a camera takes off at its start, the one before has added at its end: of
-    a sum only both ends are carried, and its standard deviation is told anew from the own windows. Variances of
-    inertial experts add up, counts and pixels are averaged, everything else is taken at the key frame. What was
-    recorded before a scene's first and after its last key frame is left out. LINEAR and the reward scale are fitted
-    anew.
+    camera LOST if it was lost in between, INITIALISING if that is all it did, else NO_IMAGE: a missed image is no lost
+    track. What one carried increment of a camera takes off at its start, the one before has added at its end: of a sum
+    only both ends are carried, and its standard deviation is told anew from the own windows. Variances of inertial
+    experts add up, counts and pixels are averaged, everything else is taken at the key frame. What was recorded before
+    a scene's first and after its last key frame is left out. LINEAR and the reward scale are fitted anew.
 
     Raises:
         RecordingError: if a scene has fewer than two key frames, or for recordings without own-window columns.
@@ -71,8 +71,15 @@ def at_keyframes(recordings: Recordings) -> Recordings:
     for camera in (*recordings.manifest.cameras, *recordings.manifest.variants):
         state = columns[f"{camera}.state"]
         complete = np.isfinite(columns[f"{camera}.yaw_increment_rad"])
-        state[~starts] = np.where(complete, State.TRACKING, State.LOST)[~starts]
+        lost, begun = (_any(recordings[f"{camera}.state"] == which, keep) for which in (State.LOST, State.INITIALISING))
+        broken = np.where(lost, State.LOST, np.where(begun, State.INITIALISING, State.NO_IMAGE))
+        state[~starts] = np.where(complete, State.TRACKING, broken)[~starts]
     return with_fits(Recordings(replace(recordings.manifest, scenes=tuple(scenes)), columns))
+
+
+def _any(happened: NDArray[np.bool_], keep: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """``(len(keep),)`` whether it happened in any row after the kept one before, up to this one."""
+    return np.diff(np.cumsum(happened)[keep], prepend=0) > 0
 
 
 def _camera_stds(recordings: Recordings, keyframes: Sequence[NDArray[np.int64]]) -> dict[str, Column]:

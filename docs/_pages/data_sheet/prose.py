@@ -30,7 +30,8 @@ failures nor shares of locally best cameras nor the order of methods were looked
 """
 
 LOGS = """Every log is one drive of one of two cars through a city of its own. Wheel radius: mean of the rear axle;
-course: direction of travel minus heading; lag: of the written poses; then the constant biases of three yaw-rate
+course: direction of travel minus heading; lag: how late the written poses are (here it differs between the logs of one
+car, in cities simulated with later versions it is the car's own); then the constant biases of three yaw-rate
 sensors."""
 
 SAMPLES = """Every situation and condition once, from the first such scene by day: the middle image; in traffic the
@@ -107,17 +108,19 @@ again; with instant re-initialisation every failure counts (see [metrics](metric
 
 YAW = """### Yaw increments
 
-Over each camera's own image windows while it tracks, against the poses at these times: absolute error (median), error
-(RMS), slope against the truth in turns above 5 deg/s, and the size of the error that adds up over a scene of 20 s,
-median and 90 % quantile over scenes (and cameras, in the last line). Errors of the written poses are part of it."""
+Over each camera's own image windows while it tracks, before anything is carried to the steps, against the poses at
+these times without their lag (fitted from the cameras: {lags}): absolute error (median), error (RMS), slope against
+the truth in turns above 5 deg/s, and the size of the error that adds up over a scene of 20 s, median and 90 % quantile
+over scenes (and cameras, in the last line). The wandering of the written poses is part of it. See
+[pose lag](metrics.md#pose-lag) and, for what carrying to the steps adds, [carry](metrics.md#carry)."""
 
 BEST = """### Which camera is locally best
 
 Eq. 2 of the paper: the camera whose yaw increment is nearest the truth, at each camera's own times against the
-poses at these times; moving steps (0.2 m/s), ties split, a camera that does not track cannot be best. Turning:
-above 5 deg/s. If all were equally good, each would be best in 25 %. Errors of the written poses (which all cameras
-share only in part) push shares towards that; the last column uses the noise-free truth at the ends of the steps
-instead."""
+poses at these times without their lag; moving steps (0.2 m/s), ties split, a camera that does not track cannot be best.
+Turning: above 5 deg/s. If all were equally good, each would be best in 25 %. Errors of the poses, which all cameras
+share only in part, push shares towards that: their lag a little, as the column of the poses as written shows, their
+wandering more. The last column uses the noise-free truth at the ends of the steps instead."""
 
 BY_SITUATION = """### By situation
 
