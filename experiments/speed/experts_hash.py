@@ -25,9 +25,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 import tyro
-from mixo_env.simulator.render import Renderer
-from mixo_env.simulator.rig import nominal_calibration
-from mixo_env.simulator.world import build_world
+from mixo_env.simulator.picture.render import Renderer
+from mixo_env.simulator.drive.rig import nominal_calibration
+from mixo_env.simulator.city.world import build_world
 from numpy.typing import NDArray
 
 from experiments.speed.rendering import TOUR, camera_pose, traffic

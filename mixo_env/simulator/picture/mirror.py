@@ -110,7 +110,7 @@ class Shown(NamedTuple):
 
 
 @inlined
-def mixed(first: int, second: int, share: int | np.int64) -> int:
+def mixed(first: int, second: int, share: int | np.int64) -> int | np.int64:
     """Packed radiance: share / 255 of the second, the rest of the first."""
     keep = share ^ 255  # written so that the compiler sees factors of 32 bits: SIMD multiplies those at once
     red, green, blue = first & _FIELD, first >> 21 & _FIELD, first >> 42 & _FIELD
