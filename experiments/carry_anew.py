@@ -87,7 +87,7 @@ class CarryAnew:
             dataset = open_dataset(Path(folder))
             for i, scene in enumerate(names):
                 rows = recordings.rows(i)
-                drive = dataset.load(scene, recordings.manifest.cameras, require_images=False)
+                drive = dataset.load(scene, recordings.manifest.cameras)
                 for expert, camera, turn in _turns(recordings, rows, drive):
                     raw = rows[f"{expert}.two_frame_yaw_increment_rad"] - turn
                     check_turn(rows, expert, turn, f"{scene}, {camera}")

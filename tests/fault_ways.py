@@ -79,8 +79,12 @@ def text(name: str, change: Callable[[bytes], bytes]) -> Callable[[Path], None]:
     return apply
 
 
-def image(content: bytes | Callable[[bytes], bytes], count: int = 1) -> Callable[[Path], None]:
-    """Other bytes in the first images of CAM_FRONT."""
+TOO_MANY = 3
+"""Broken images of 43; two would cost their steps only."""
+
+
+def image(content: bytes | Callable[[bytes], bytes], count: int = TOO_MANY) -> Callable[[Path], None]:
+    """Other bytes in the first key frames of CAM_FRONT."""
 
     def apply(root: Path) -> None:
         for path in images(root)[:count]:
@@ -91,13 +95,13 @@ def image(content: bytes | Callable[[bytes], bytes], count: int = 1) -> Callable
     return apply
 
 
-def instead(make: Callable[[Path], Any], name: str | None = None) -> Callable[[Path], None]:
-    """Something that is no file in place of an image, or of the file ``name``."""
+def instead(make: Callable[[Path], Any], name: str | None = None, count: int = TOO_MANY) -> Callable[[Path], None]:
+    """Something that is no file in place of the first key frames of CAM_FRONT, or of the file ``name``."""
 
     def apply(root: Path) -> None:
-        path = root / name if name else images(root)[0]
-        path.unlink()
-        make(path)
+        for path in [root / name] if name else images(root)[:count]:
+            path.unlink()
+            make(path)
 
     return apply
 

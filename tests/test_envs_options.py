@@ -348,7 +348,7 @@ def simulated(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Recording
     simulate(SimulationConfig(scenes=2, scenes_per_log=1, seconds=4, images=False, width=320, height=180), folder)
     dataset = open_dataset(folder)
     for name in dataset.scene_names:
-        for c, track in enumerate(dataset.load(name, require_images=False).cameras.values()):
+        for c, track in enumerate(dataset.load(name).cameras.values()):
             for k, path in enumerate(track.image_paths):
                 path.parent.mkdir(parents=True, exist_ok=True)
                 picture = np.full((180, 320, 3), (40 + 50 * c, 3 * k, 90), np.uint8)

@@ -46,7 +46,7 @@ def test_one_scene_comes_out_the_same(tmp_path: Path) -> None:
     frames = pictures(one, log, plan, simulate_scene(one, log, plan, tmp_path), _renderer(one, log))
     for path, image in itertools.islice(frames, IMAGES):
         write_bytes(path, simplejpeg.encode_jpeg(image, quality=JPEG_QUALITY, colorspace="RGB"))
-    scene = open_dataset(tmp_path).load(SCENE, (CAMERA,), require_images=False)
+    scene = open_dataset(tmp_path).load(SCENE, (CAMERA,))
     track = first_images(scene.cameras[CAMERA], image_us[0], IMAGES)
     anew, _ = record_scene(replace(scene, cameras={CAMERA: track}), default_experts(RecordConfig(), SCENE))
 

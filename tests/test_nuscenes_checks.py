@@ -12,6 +12,7 @@ import pytest
 from mixo_env.nuscenes.checks.judge import judge, problems_of_folder
 from mixo_env.nuscenes.checks.motion import lag_of, window_rates
 from mixo_env.nuscenes.checks.mounting import calibration_problems
+from mixo_env.nuscenes.images import BROKEN_IN_A_ROW, too_many_broken
 from mixo_env.nuscenes.scene import CameraCalibration
 from mixo_env.nuscenes.tables import open_dataset
 from tests.nuscenes_fixture import DRIVES, write_can_bus, write_nuscenes
@@ -78,12 +79,32 @@ def test_missing_messages(sound):
 def test_images(folder):
     track = open_dataset(folder).track("scene-2061", "CAM_BACK")
     track.image_paths[2].unlink()
-    track.image_paths[3].unlink()
     track.image_paths[5].write_bytes(b"")
-    found = problems(folder)
-    assert len(found) == 2
-    assert found[0].startswith("images: CAM_BACK: 2 of 48 images are missing, first ")
-    assert found[1].startswith("images: CAM_BACK: 1 of 48 images are empty, first ")
+    assert problems(folder) == []
+    assert notes(folder) == [
+        f"images: CAM_BACK: 1 of 48 images are missing, first {track.image_paths[2]}: no image in these steps",
+        f"images: CAM_BACK: 1 of 48 images are empty, first {track.image_paths[5]}: no image in these steps",
+    ]
+    track.image_paths[3].unlink()
+    limit = "at most 5% (one in any case) and 10 in a row may be broken"
+    assert notes(folder) == []
+    assert problems(folder) == [
+        f"images: CAM_BACK: 2 of 48 images are missing, first {track.image_paths[2]}: {limit}",
+        f"images: CAM_BACK: 1 of 48 images are empty, first {track.image_paths[5]}: {limit}",
+    ]
+
+
+def test_how_many_images_may_be_broken():
+    def broken(positions, images):
+        return too_many_broken(dict.fromkeys(positions, "gone"), images)
+
+    assert not broken(range(100, 100 + BROKEN_IN_A_ROW), 1000)
+    assert broken(range(100, 101 + BROKEN_IN_A_ROW), 1000)
+    assert not broken(range(0, 100, 2), 1000)
+    assert broken(range(0, 102, 2), 1000)
+    assert not broken([5], 12)
+    assert broken([5, 9], 12)
+    assert broken([0], 1)
 
 
 def test_times_and_key_frames(folder):

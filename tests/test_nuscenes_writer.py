@@ -142,7 +142,7 @@ def test_round_trip_through_the_reader(written):
     root, scenes = written
     found = open_dataset(root)
     for scene in scenes:
-        back = found.load(scene.name, ("CAM_FRONT", "CAM_BACK"), require_images=False)
+        back = found.load(scene.name, ("CAM_FRONT", "CAM_BACK"))
         assert (back.description, back.log, back.vehicle, back.location) == (
             scene.description,
             scene.log,

@@ -1,7 +1,9 @@
-"""What can be told of an image file without decoding it: whether it is a whole JPEG, and of which size."""
+"""What can be told of an image file without decoding it, and how many broken ones a camera may have."""
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import BinaryIO
 
@@ -10,6 +12,15 @@ from mixo_env.nuscenes.files import open_file, read_file
 
 LARGEST_IMAGE_PIXELS = 50_000_000
 """Thirty times a nuScenes image. A header can ask for 4 Gpx in a file of 19 kB."""
+
+BROKEN_SHARE = 0.05
+"""Of a camera's images in one scene may be broken, and one in any case: that costs their steps and not the scene."""
+
+BROKEN_IN_A_ROW = 10
+"""Broken images (0.8 s) at most: after a longer gap the odometry would begin anew."""
+
+UNDECODABLE = "not to be decoded"
+"""Of a file that is damaged between a sound beginning and a sound end."""
 
 _HEADER_BYTES = 1_024
 _TAIL_BYTES = 64
@@ -30,15 +41,18 @@ def image_fault(path: Path, width: int, height: int) -> str | None:
     """
     try:
         with open_file(path) as file:
-            size = jpeg_size(file)
-            file.seek(0, 2)
-            length = file.tell()
-            file.seek(max(0, length - _TAIL_BYTES))
-            tail = file.read(_TAIL_BYTES)
+            return _fault(file, width, height)
     except FileNotFoundError:
         return "missing"
     except (DatasetError, OSError):
         return "unreadable or no files"
+
+
+def _fault(file: BinaryIO, width: int, height: int) -> str | None:
+    size = jpeg_size(file)
+    length = file.seek(0, 2)
+    file.seek(max(0, length - _TAIL_BYTES))
+    tail = file.read(_TAIL_BYTES)
     if length == 0:
         return "empty"
     if size is None:
@@ -47,6 +61,44 @@ def image_fault(path: Path, width: int, height: int) -> str | None:
         return f"{size[0]} x {size[1]} (the tables say {width} x {height})"
     # Some writers pad; inside the picture these two bytes cannot follow each other.
     return None if _END in tail else "cut short"
+
+
+def too_many_broken(faults: Mapping[int, str], images: int) -> bool:
+    """Whether a camera cannot be used because of its broken images.
+
+    Args:
+        faults: position of a broken image among the camera's in the scene -> what is wrong with it.
+        images: of the camera in the scene.
+    """
+    allowed = min(max(1.0, BROKEN_SHARE * images), images - 1)
+    return len(faults) > allowed or _longest_run(faults) > BROKEN_IN_A_ROW
+
+
+def _longest_run(positions: Mapping[int, object]) -> int:
+    longest, run, before = 0, 0, None
+    for position in sorted(positions):
+        run = run + 1 if before is not None and position == before + 1 else 1
+        longest, before = max(longest, run), position
+    return longest
+
+
+def describe_broken(camera: str, faults: Mapping[int, str], paths: Sequence[Path]) -> list[str]:
+    """One line for every kind of fault, in the words of every command that meets it.
+
+    Args:
+        camera: channel.
+        faults: as in :func:`too_many_broken`, of which there is one.
+        paths: of the camera's images in the scene.
+    """
+    if too_many_broken(faults, len(paths)):
+        limit = f"at most {BROKEN_SHARE:.0%} (one in any case) and {BROKEN_IN_A_ROW} in a row may be broken"
+    else:
+        limit = "no image in these steps"
+    return [
+        f"{camera}: {count} of {len(paths)} images are {fault}, "
+        f"first {paths[min(position for position in faults if faults[position] == fault)]}: {limit}"
+        for fault, count in Counter(faults[position] for position in sorted(faults)).items()
+    ]
 
 
 def jpeg_size(file: BinaryIO) -> tuple[int, int] | None:

@@ -92,24 +92,20 @@ class Dataset:
             for record in self.index.scenes
         )
 
-    def load(self, name: str, cameras: tuple[str, ...] = CAMERAS, require_images: bool = True) -> Scene:
-        """Load one scene.
+    def load(self, name: str, cameras: tuple[str, ...] = CAMERAS) -> Scene:
+        """Load one scene; image files are not looked at.
 
         Args:
             name: e.g. ``"scene-0061"``.
             cameras: channels, in the order wanted.
-            require_images: check that every image file is there. Images themselves are not read.
 
         Raises:
             ConfigurationError: no such scene or camera.
             DatasetError: the scene's rows are broken (no images of a camera, repeated times, missing poses, changing
-                calibration), an image file is missing, or a CAN bus file cannot be read.
+                calibration), or a CAN bus file cannot be read.
         """
         record = self.index.scenes[self.position(name)]
         tracks = {camera: self.track(name, camera) for camera in cameras}
-        if require_images:
-            for track in tracks.values():
-                _check_images(name, track)
         return Scene(
             name=name,
             description=record.description,
@@ -277,15 +273,6 @@ def _calibration(label: str, records: list[CalibrationRecord]) -> CameraCalibrat
         width=record.width,
         height=record.height,
     )
-
-
-def _check_images(scene: str, track: CameraTrack) -> None:
-    missing = [path for path in track.image_paths if not path.is_file()]
-    if missing:
-        raise DatasetError(
-            f"{scene} {track.calibration.channel}: {len(missing)} of {len(track.image_paths)} images are missing, "
-            f"first {missing[0]}: unpack the samples and sweeps of this scene"
-        )
 
 
 def _read_exact(path: Path) -> ExactPoses | None:

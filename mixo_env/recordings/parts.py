@@ -40,6 +40,7 @@ class Part:
         columns: all columns of the schema.
         timings: CPU time by image.
         broken_images: camera -> images that could not be read; cameras without any are left out.
+        remarks: on these images, to be said when they were met; not kept.
     """
 
     entry: SceneEntry
@@ -47,6 +48,7 @@ class Part:
     columns: Columns
     timings: Columns
     broken_images: Mapping[str, int]
+    remarks: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)

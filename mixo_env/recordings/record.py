@@ -37,7 +37,7 @@ from mixo_env.recordings.parts import Part, PartFolder, finished_parts
 from mixo_env.recordings.processes import KILLED, Killed, each
 from mixo_env.recordings.provenance import configuration_hash, file_hash, inputs_hash, software_versions
 from mixo_env.recordings.schema import INERTIAL_EXPERTS, SCHEMA_VERSION, Manifest, SceneEntry
-from mixo_env.recordings.steps import Columns, Experts, broken_images, record_scene
+from mixo_env.recordings.steps import Columns, Experts, broken_images, record_scene, remarks_on_images
 from mixo_env.recordings.store import TIMINGS_FILE, load_recordings, write_columns, write_recordings
 from mixo_env.recordings.vehicles import training_constants
 from mixo_env.recordings.vocabularies import Retrained
@@ -165,7 +165,7 @@ def record(
 ) -> Recordings:
     """Record scenes into a folder.
 
-    Scenes that cannot be recorded (no CAN bus, too many unreadable images, a killed worker, ...) are skipped with a
+    Scenes that cannot be recorded (no CAN bus, too many broken images, a killed worker, ...) are skipped with a
     warning and listed in the manifest's parameters. Values do not depend on the number of workers.
 
     Args:
@@ -237,8 +237,8 @@ def _take(name: str, result: Result, parts: dict[str, Part], skipped: dict[str, 
     if isinstance(result, Part):
         folder.write(result)
         parts[name] = result
-        for camera, count in result.broken_images.items():
-            logger.warning("%s: %d images of %s cannot be read: no image in these steps", name, count, camera)
+        for remark in result.remarks:
+            logger.warning("%s: %s", name, remark)
     elif isinstance(result, Skipped):
         if result.details:
             logger.info("%s: %s", name, result.details)
@@ -301,7 +301,7 @@ def _record_one(
         return Skipped(_unexpected(error), traceback.format_exc())
     fold = OUT_OF_DISTRIBUTION  # until all scenes are known
     entry = SceneEntry(name, scene.log, scene.vehicle, scene.location, scene.conditions, fold, len(columns["step"]))
-    return Part(entry, inputs, columns, timings, broken_images(timings))
+    return Part(entry, inputs, columns, timings, broken_images(timings), tuple(remarks_on_images(scene, timings)))
 
 
 def _unexpected(error: Exception) -> str:

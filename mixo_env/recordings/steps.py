@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from mixo_env.errors import DatasetError
 from mixo_env.experts.expert import CameraExpert, CameraStep, State
 from mixo_env.experts.inertial import InertialEstimate
-from mixo_env.nuscenes.images import read_jpeg
+from mixo_env.nuscenes.images import UNDECODABLE, describe_broken, image_fault, read_jpeg, too_many_broken
 from mixo_env.nuscenes.scene import CameraCalibration, CameraTrack, CanBus, Scene
 from mixo_env.recordings.carry import carry_camera
 from mixo_env.recordings.clock import NONE, firing_rounds
@@ -38,12 +38,6 @@ TIMING_COLUMNS = {
     "expert_ms": "float64",
 }
 """CPU time of every image: kept apart from the recording, never hashed."""
-
-BROKEN_SHARE = 0.05
-"""Of a camera's images in one scene may be broken, and one in any case: that costs their steps and not the scene."""
-
-BROKEN_IN_A_ROW = 10
-"""Broken images (0.8 s) at most: after a longer gap the odometry would begin anew."""
 
 
 class InertialExpert(Protocol):
@@ -81,7 +75,7 @@ def record_scene(scene: Scene, experts: Experts) -> tuple[Columns, Columns]:
 
     Raises:
         DatasetError: without CAN bus, wheel speeds or IMU, or if they do not cover the images; for timing that is not
-            that of the nuScenes rig; for more images that cannot be read than ``BROKEN_SHARE`` allows.
+            that of the nuScenes rig; for more broken images than :func:`too_many_broken` allows.
     """
     if scene.can_bus is None:
         raise DatasetError("no CAN bus: distance and inertial odometry need wheel speeds and an IMU")
@@ -161,15 +155,16 @@ def _run_camera(
     """
     steps: list[CameraStep] = []
     decode_ms, expert_ms = np.full((2, len(image)), np.nan)
-    problems: dict[int, str] = {}
-    before = distance_m[0]
+    faults: dict[int, str] = {}
+    calibration, before = track.calibration, distance_m[0]
     for n, i in enumerate(image):
         start = time.thread_time()
-        try:
-            grey = read_grey(track.image_paths[i], expert.halvings)
-        except DatasetError as error:
-            problems[n] = str(error)
-            _check_broken(problems, len(image))
+        grey = readable(track.image_paths[i], calibration, expert.halvings)
+        if isinstance(grey, str):
+            faults[n] = grey
+            if too_many_broken(faults, len(image)):
+                paths = [track.image_paths[k] for k in image]
+                raise DatasetError("; ".join(describe_broken(calibration.channel, faults, paths)))
             continue
         decoded = time.thread_time()
         steps.append(expert.process(grey, int(track.timestamp_us[i]), float(distance_m[n] - before)))
@@ -185,22 +180,38 @@ def _run_camera(
     return steps, timing
 
 
-def _check_broken(problems: Mapping[int, str], images: int) -> None:
-    """Whether a camera can be used in spite of its broken images (number in the scene -> problem)."""
-    run = 0
-    while max(problems) - run in problems:
-        run += 1
-    if len(problems) > max(1.0, BROKEN_SHARE * images) or run > BROKEN_IN_A_ROW:
-        raise DatasetError(
-            f"{len(problems)} of {images} images cannot be read, {run} of them in a row; expected at most "
-            f"{BROKEN_SHARE:.0%} and {BROKEN_IN_A_ROW}; the first: {next(iter(problems.values()))}"
-        )
+def readable(path: Path, calibration: CameraCalibration, halvings: int) -> NDArray[np.uint8] | str:
+    """An image as :func:`read_grey`, or what is wrong with it."""
+    fault = image_fault(path, calibration.width, calibration.height)
+    if fault is not None:
+        return fault
+    try:
+        return read_grey(path, halvings)
+    except DatasetError:
+        return UNDECODABLE
 
 
 def broken_images(timings: Columns) -> dict[str, int]:
     """Camera -> number of its images that could not be read, for those that have any, from a scene's timings."""
     cameras = timings["camera"][np.isnan(timings["expert_ms"])]
     return {str(camera): int(np.sum(cameras == camera)) for camera in dict.fromkeys(cameras)}
+
+
+def remarks_on_images(scene: Scene, timings: Columns) -> list[str]:
+    """One line for every kind of broken image, as ``mixo inspect`` says it.
+
+    Args:
+        scene: that was recorded.
+        timings: that came of it.
+    """
+    remarks = []
+    for camera, track in scene.cameras.items():
+        broken = (timings["camera"] == camera) & np.isnan(timings["expert_ms"])
+        positions = np.searchsorted(track.timestamp_us, timings["timestamp_us"][broken]).tolist()
+        width, height = track.calibration.width, track.calibration.height
+        faults = {k: image_fault(track.image_paths[k], width, height) or UNDECODABLE for k in positions}
+        remarks += [f"images: {text}" for text in describe_broken(camera, faults, track.image_paths)]
+    return remarks
 
 
 def _record_images(columns: Columns, track: CameraTrack, rows: NDArray[np.int64], image: NDArray[np.int64]) -> None:

@@ -20,7 +20,7 @@ from mixo_env.recordings.folds import FOLD_RULES, OUT_OF_DISTRIBUTION
 from mixo_env.recordings.processes import processes
 from mixo_env.recordings.provenance import configuration_hash
 from mixo_env.recordings.schema import SceneEntry
-from mixo_env.recordings.steps import read_grey
+from mixo_env.recordings.steps import readable
 
 SHARE = 0.2
 """Of the images, as in the paper."""
@@ -68,7 +68,6 @@ def retrain(
         Name of the row -> what ``RecordConfig.variants`` needs.
 
     Raises:
-        DatasetError: for an image that cannot be read.
         ConfigurationError: for too few images.
     """
     from joblib import Parallel, delayed
@@ -104,7 +103,7 @@ def retrain(
 def scene_descriptors(
     dataset: Dataset, scene: str, camera: str, config: MonocularConfig, share: float, seed: int
 ) -> Descriptors:
-    """Descriptors ``(n, 4)`` of the corners in a random share of one camera's images of one scene."""
+    """Descriptors ``(n, 4)`` of the corners in a random share of one camera's images of one scene; broken ones lack."""
     import cv2
 
     from mixo_env.experts.monocular.camera import mount
@@ -115,6 +114,6 @@ def scene_descriptors(
     mounted = mount(track.calibration, config.max_pixels)
     rng = np.random.default_rng([seed, *scene.encode(), *camera.encode()])
     some = np.flatnonzero(rng.random(len(track.image_paths)) < share)
-    images = (read_grey(track.image_paths[i], mounted.halvings) for i in some)
-    words = [detector.detect(mounted.shrink(image)).descriptor for image in images]
+    images = (readable(track.image_paths[i], track.calibration, mounted.halvings) for i in some)
+    words = [detector.detect(mounted.shrink(image)).descriptor for image in images if not isinstance(image, str)]
     return np.concatenate([np.empty((0, 4), np.uint64), *words])

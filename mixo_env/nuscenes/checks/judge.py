@@ -27,7 +27,7 @@ from mixo_env.nuscenes.tables import Dataset
 logger = logging.getLogger(__name__)
 
 CHECKS: Mapping[str, str] = {
-    "images": "every image is there, whole, a JPEG and of the size in the tables",
+    "images": "but for a few, images are there, whole, JPEGs and of the size in the tables",
     "image-gap": "no camera pauses for more than a second",
     "image-time": "file names and tables give one time and one camera for an image",
     "key-frames": "every camera has the key frames of the scene table",

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import re
-from collections import Counter
-from collections.abc import Iterator
-from pathlib import Path
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
 from mixo_env.nuscenes.checks.evidence import Evidence, Finding
-from mixo_env.nuscenes.images import image_fault
+from mixo_env.nuscenes.images import describe_broken, image_fault, too_many_broken
 from mixo_env.nuscenes.scene import CameraTrack
 from mixo_env.nuscenes.selections import LIDAR_PERIOD_US
 
@@ -24,20 +22,24 @@ _STAMP = re.compile(r"__(\d{16})\.jpg$")
 
 
 def image_files(evidence: Evidence) -> Iterator[Finding]:
-    """Every image is there, is a whole JPEG, and has the size of the tables."""
+    """Images are there, whole JPEGs, of the size of the tables: all but a few, which cost their steps."""
     for camera, track in evidence.tracks.items():
         width, height = track.calibration.width, track.calibration.height
-        faults = [(image_fault(path, width, height), path) for path in track.image_paths]
-        counts = Counter(fault for fault, _ in faults if fault is not None)
-        for fault, count in counts.items():
-            paths = [path for found, path in faults if found == fault]
-            hint = ": only key frames are unpacked? see --key-frames" if _no_sweeps(fault, paths, track) else ""
-            yield Finding("images", f"{camera}: {count} of {len(faults)} images are {fault}, first {paths[0]}{hint}")
+        faults = {
+            position: fault
+            for position, path in enumerate(track.image_paths)
+            if (fault := image_fault(path, width, height)) is not None
+        }
+        hint = ": only key frames are unpacked? see --key-frames" if _no_sweeps(faults, track) else ""
+        for text in describe_broken(camera, faults, track.image_paths):
+            yield Finding("images", text + hint, is_problem=too_many_broken(faults, len(track.image_paths)))
 
 
-def _no_sweeps(fault: str, paths: list[Path], track: CameraTrack) -> bool:
+def _no_sweeps(faults: Mapping[int, str], track: CameraTrack) -> bool:
     """Whether just the images between key frames are missing."""
-    return fault == "missing" and len(paths) == int(np.count_nonzero(~track.is_keyframe)) and "sweeps" in paths[0].parts
+    between = np.flatnonzero(~track.is_keyframe).tolist()
+    missing = [position for position, fault in faults.items() if fault == "missing"]
+    return bool(between) and missing == between and "sweeps" in track.image_paths[between[0]].parts
 
 
 def image_gaps(evidence: Evidence) -> Iterator[Finding]:
