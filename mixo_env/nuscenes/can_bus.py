@@ -6,8 +6,9 @@ in rpm, ``vehicle_monitor`` in km/h and deg/s, ``ms_imu`` and ``pose`` in rad/s 
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass
+from operator import attrgetter
 from pathlib import Path
 from typing import TypeVar
 
@@ -63,6 +64,8 @@ class _ProductionGyro(msgspec.Struct, gc=False):
 
 Message = _ZoeVehInfo | _MsImu | _Pose | _VehicleMonitor | _SteeringAngleFeedback | _ProductionGyro
 MessageT = TypeVar("MessageT", bound=Message)
+
+_WHEELS = ("front_left_rpm", "front_right_rpm", "rear_left_rpm", "rear_right_rpm")
 
 MESSAGES = (
     "zoe_veh_info",
@@ -130,18 +133,14 @@ def can_bus_of(messages: Messages) -> CanBus | None:
         return None
     pose, monitor = _sorted(messages.pose), _sorted(messages.vehicle_monitor)
     return CanBus(
-        wheel_speed_radps=_signal(
-            _sorted(messages.zoe_veh_info),
-            lambda row: (row.front_left_rpm, row.front_right_rpm, row.rear_left_rpm, row.rear_right_rpm),
-            RADPS_PER_RPM,
-        ),
-        imu_yaw_rate_radps=_signal(_sorted(messages.ms_imu), lambda row: row.rotation_rate[2]),
-        pose_speed_mps=_signal(pose, lambda row: row.vel[0]),
-        pose_yaw_rate_radps=_signal(pose, lambda row: row.rotation_rate[2]),
-        monitor_yaw_rate_radps=_signal(monitor, lambda row: row.yaw_rate, RADPS_PER_DEGPS),
-        monitor_speed_mps=_signal(monitor, lambda row: row.vehicle_speed, MPS_PER_KMPH),
-        steering_wheel_rad=_signal(_sorted(messages.steeranglefeedback), lambda row: row.value),
-        consumer_yaw_rate_radps=_signal(_sorted(messages.production_gyro), lambda row: row.yaw_rate),
+        wheel_speed_radps=_signal(_sorted(messages.zoe_veh_info), *_WHEELS, si_per_unit=RADPS_PER_RPM),
+        imu_yaw_rate_radps=_signal(_sorted(messages.ms_imu), "rotation_rate", axis=2),
+        pose_speed_mps=_signal(pose, "vel", axis=0),
+        pose_yaw_rate_radps=_signal(pose, "rotation_rate", axis=2),
+        monitor_yaw_rate_radps=_signal(monitor, "yaw_rate", si_per_unit=RADPS_PER_DEGPS),
+        monitor_speed_mps=_signal(monitor, "vehicle_speed", si_per_unit=MPS_PER_KMPH),
+        steering_wheel_rad=_signal(_sorted(messages.steeranglefeedback), "value"),
+        consumer_yaw_rate_radps=_signal(_sorted(messages.production_gyro), "yaw_rate"),
     )
 
 
@@ -178,13 +177,15 @@ def _broken(path: Path, reason: str) -> DatasetError:
 
 def _sorted(rows: list[MessageT]) -> list[MessageT]:
     """In time order; files nearly always are already."""
-    return sorted(rows, key=lambda row: row.utime)
+    return sorted(rows, key=attrgetter("utime"))
 
 
-def _signal(
-    rows: list[MessageT], value: Callable[[MessageT], float | tuple[float, ...]], si_per_unit: float = 1.0
-) -> Signal | None:
+def _signal(rows: Sequence[Message], *names: str, axis: int | None = None, si_per_unit: float = 1.0) -> Signal | None:
+    """One field of every row, one axis of a vector, or several fields side by side; ``None`` without rows."""
     if not rows:
         return None
-    values: FloatArray = np.array([value(row) for row in rows], dtype=np.float64) * si_per_unit
-    return Signal(timestamp_us=np.array([row.utime for row in rows], dtype=np.int64), value=values)
+    times = np.array([row.utime for row in rows], dtype=np.int64)
+    values: FloatArray = np.array(list(map(attrgetter(*names), rows)), dtype=np.float64)
+    if axis is not None:
+        values = values[:, axis]
+    return Signal(timestamp_us=times, value=values * si_per_unit)

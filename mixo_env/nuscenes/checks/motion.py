@@ -8,7 +8,7 @@ import numpy as np
 
 from mixo_env.nuscenes.scene import FloatArray, IntArray
 
-GRID_S = 0.02
+GRID_US = 20_000
 LONGEST_LAG_S = 0.4
 SHORTEST_COMPARED_S = 1.4
 
@@ -113,12 +113,15 @@ def lag_of(
     end = min(time_us[-1], sensor_us[-1]) - margin_us
     if 1e-6 * (end - begin) < SHORTEST_COMPARED_S:
         return None
-    at_us = np.arange(begin, end, int(1e6 * GRID_S))
+    at_us = np.arange(begin, end, GRID_US)
     true = np.interp(1e-6 * (at_us - time_us[0]), 1e-6 * (time_us - time_us[0]), value)
     drift = np.linspace(-1.0, 1.0, len(at_us))
     basis, _ = np.linalg.qr(np.column_stack([np.ones(len(at_us)), drift]))
-    lags = np.arange(-LONGEST_LAG_S, LONGEST_LAG_S + 0.5 * GRID_S, GRID_S)
-    shifted = np.stack([integral(sensor_us, sensor_rate, at_us - round(1e6 * lag)) for lag in lags])
+    # Lags are whole steps of the grid: one integral over a longer grid holds the shifted ones, the latest lag first.
+    steps = margin_us // GRID_US
+    lags = 1e-6 * GRID_US * np.arange(-steps, steps + 1)
+    longer = integral(sensor_us, sensor_rate, begin + GRID_US * np.arange(-steps, len(at_us) + steps))
+    shifted = np.lib.stride_tricks.sliding_window_view(longer, len(at_us))[::-1].copy()
     true = true - basis @ (basis.T @ true)
     shifted -= (shifted @ basis) @ basis.T
     power = np.einsum("ij,ij->i", shifted, shifted)
@@ -138,7 +141,7 @@ def _refined(lags: FloatArray, residual: FloatArray, best: int) -> float:
         return float(lags[best])
     before, at, after = residual[best - 1 : best + 2] ** 2
     bend = before - 2.0 * at + after
-    return float(lags[best] + (0.5 * GRID_S * (before - after) / bend if bend > 0 else 0.0))
+    return float(lags[best] + (0.5e-6 * GRID_US * (before - after) / bend if bend > 0 else 0.0))
 
 
 def _twice_in_a_row(flags: np.ndarray) -> bool:

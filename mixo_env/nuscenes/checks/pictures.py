@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 from collections.abc import Iterator, Mapping
 
@@ -82,27 +83,25 @@ def keyframes(evidence: Evidence) -> Iterator[Finding]:
 def image_names(evidence: Evidence) -> Iterator[Finding]:
     """The time in a file's name, where there is one, is that of its row; no file stands for two images."""
     for camera, track in evidence.tracks.items():
+        files = [os.fspath(path) for path in track.image_paths]
         wrong = [
-            path.name
-            for path, time in zip(track.image_paths, track.timestamp_us.tolist(), strict=True)
-            if (match := _STAMP.search(path.name)) and int(match[1]) != time
+            file
+            for file, time in zip(files, track.timestamp_us.tolist(), strict=True)
+            if (match := _STAMP.search(file)) and int(match[1]) != time
         ]
         if wrong:
             yield Finding(
                 "image-time",
-                f"{camera}: {len(wrong)} images have another time in their name than in the tables, first {wrong[0]}: "
-                "were times or names exchanged?",
+                f"{camera}: {len(wrong)} images have another time in their name than in the tables, first "
+                f"{wrong[0].rpartition(os.sep)[2]}: were times or names exchanged?",
             )
-        if repeated := len(track.image_paths) - len(set(track.image_paths)):
+        if repeated := len(files) - len(set(files)):
             yield Finding("image-time", f"{camera}: {repeated} files stand in the tables more than once")
-        if strangers := _of_another_camera(camera, track):
+        if strangers := _of_another_camera(camera, files):
             yield Finding("image-time", f"{camera}: {len(strangers)} files lie in another folder, first {strangers[0]}")
 
 
-def _of_another_camera(camera: str, track: CameraTrack) -> list[str]:
+def _of_another_camera(camera: str, files: list[str]) -> list[str]:
     """Files in a folder named after another camera; folders that are not named so say nothing."""
-    return [
-        f"{path.parent.name}/{path.name}"
-        for path in track.image_paths
-        if path.parent.name.startswith("CAM_") and path.parent.name != camera
-    ]
+    ends = (file.rsplit(os.sep, 2)[1:] for file in files)
+    return ["/".join(parts) for parts in ends if parts[0].startswith("CAM_") and parts[0] != camera]
