@@ -12,6 +12,7 @@ from mixo_env.fusion import softmax
 from mixo_env.policies.linear import Linear
 from mixo_env.policies.playing import collect
 from mixo_env.policies.policy import Observation, Policy, Weights
+from mixo_env.policies.storage import check_inputs, finite, positive
 from mixo_env.recordings.collection import Recordings
 
 if TYPE_CHECKING:
@@ -77,7 +78,8 @@ class Mixo(Policy):
         import torch
 
         with torch.inference_mode():
-            x = torch.from_numpy((gate_input(observation) - self._mean) / self._std)
+            seen = check_inputs(self.name, gate_input(observation), self._mean)
+            x = torch.from_numpy((seen - self._mean) / self._std)
             return softmax(self._network(x).numpy())
 
     def settings(self) -> dict[str, Any]:
@@ -90,11 +92,20 @@ class Mixo(Policy):
         network = {f"network.{name}": value.numpy() for name, value in self._network.state_dict().items()}
         return {"mean": self._mean, "std": self._std, **network}
 
+    def shapes(self, inputs: int) -> dict[str, tuple[int, ...]]:
+        """Standardisation and the three dense layers."""
+        (n1, n2), n3 = self.hidden, len(self.experts)
+        layers = {"network.0": (n1, inputs), "network.3": (n2, n1), "network.6": (n3, n2)}
+        weights = {f"{name}.weight": shape for name, shape in layers.items()}
+        biases = {f"{name}.bias": shape[:1] for name, shape in layers.items()}
+        return {"mean": (inputs,), "std": (inputs,), **weights, **biases}
+
     def restore(self, tensors: Mapping[str, NDArray[Any]]) -> None:
         """Take back standardisation and network."""
         import torch
 
-        self._mean, self._std = tensors["mean"], tensors["std"]
+        tensors = {name: finite(name, value).astype(np.float32) for name, value in tensors.items()}
+        self._mean, self._std = tensors["mean"], positive("std", tensors["std"])
         self._network = self._build(len(self._mean), len(self.experts))
         state = {name.removeprefix("network."): torch.from_numpy(tensors[name]) for name in tensors if "." in name}
         self._network.load_state_dict(state)

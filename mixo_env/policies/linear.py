@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from mixo_env.fusion import least_squares_weights
 from mixo_env.policies.policy import Observation, Policy, Weights
+from mixo_env.policies.storage import finite
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.substitutes import substituted_increments
 
@@ -40,6 +41,10 @@ class Linear(Policy):
         """The weights."""
         return {"weights": self.weights}
 
+    def shapes(self, inputs: int) -> dict[str, tuple[int, ...]]:
+        """One weight an expert."""
+        return {"weights": (len(self.experts),)}
+
     def restore(self, tensors: Mapping[str, NDArray[Any]]) -> None:
         """Take back the weights."""
-        self.weights = tensors["weights"]
+        self.weights = finite("weights", tensors["weights"])

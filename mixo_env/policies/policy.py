@@ -72,8 +72,20 @@ class Policy(abc.ABC):
         """What :meth:`fit` learned, by name."""
         return {}
 
+    def shapes(self, inputs: int) -> dict[str, tuple[int, ...]]:
+        """Shapes of :meth:`tensors`, by name.
+
+        Args:
+            inputs: length of the tensor ``mean``, for a policy that standardises what it sees.
+        """
+        return {}
+
     def restore(self, tensors: Mapping[str, NDArray[Any]]) -> None:
-        """Take back what :meth:`tensors` gave; ``settings`` and ``experts`` are already in place."""
+        """Take back what :meth:`tensors` gave; ``settings`` and ``experts`` are in place, and all shapes fit.
+
+        Raises:
+            ValueError: for values that cannot be.
+        """
 
     def save(self, folder: Path) -> None:
         """Write everything :meth:`load` needs into ``folder`` (safetensors + JSON, never pickled code)."""
@@ -94,12 +106,16 @@ class Policy(abc.ABC):
         """
         description, tensors = storage.read(folder)
         try:
-            policy = cls(**description["settings"])
-            if policy.name != description["policy"]:
-                raise PolicyError(f"expected {policy.name} in {folder}, got {description['policy']}: load it as that")
-            policy.experts = tuple(description["experts"])
-            policy.fitted_on = frozenset(description["fitted_on"])
+            policy = cls(**description.settings)
+            if policy.name != description.policy:
+                raise PolicyError(f"expected {policy.name} in {folder}, got {description.policy}: load it as that")
+            policy.experts, policy.fitted_on = description.experts, description.fitted_on
+            found = {name: value.shape for name, value in tensors.items()}
+            expected = policy.shapes(found.get("mean", (0,))[0] if found.get("mean") else 0)
+            if found != expected:
+                raise ValueError(f"expected tensors {expected}, got {found}")
             policy.restore(tensors)
-        except (TypeError, KeyError, ValueError, RuntimeError) as error:
-            raise PolicyError(f"{folder} does not fit {cls.__name__} ({error}): save the policy anew") from None
+        except (TypeError, KeyError, ValueError, RuntimeError, OverflowError, AttributeError) as error:
+            reason = storage.one_line(error)
+            raise PolicyError(f"{folder} does not fit {cls.__name__} ({reason}): save the policy anew") from None
         return policy

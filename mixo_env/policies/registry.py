@@ -59,9 +59,9 @@ def load(folder: Path) -> Policy:
         PolicyError: when the file is missing or broken, or names no policy known here.
     """
     description, _ = storage.read(folder)
-    name = description.get("policy")
+    name = description.policy
     if name in POLICIES:
         return POLICIES[name].load(folder)
-    if description.get("settings") == {"expert": name}:
+    if description.settings == {"expert": name}:
         return Single.load(folder)
     raise PolicyError(f"{folder}: {unknown('policy', name, POLICIES)}")

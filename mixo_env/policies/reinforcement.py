@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from mixo_env.fusion import softmax
 from mixo_env.policies.linear import Linear
 from mixo_env.policies.playing import collect
 from mixo_env.policies.policy import Observation, Policy, Weights
+from mixo_env.policies.storage import check_inputs, finite, positive
 from mixo_env.recordings.collection import Recordings
 
 Layers = list[tuple[NDArray[np.float32], NDArray[np.float32]]]
@@ -90,7 +92,8 @@ class PPO(Policy):
 
     def act(self, observation: Observation) -> Weights:
         """Softmax rows ``(batch, experts)`` of the actor's mean action."""
-        action = mean_action(self._layers, self._standardise(flat(observation)))
+        seen = check_inputs(self.name, flat(observation), self._standardise.mean)
+        action = mean_action(self._layers, self._standardise(seen))
         return softmax(LOGIT_SCALE * np.clip(action, -1.0, 1.0))
 
     def settings(self) -> dict[str, Any]:
@@ -104,10 +107,17 @@ class PPO(Policy):
         biases = {f"bias.{i}": bias for i, (_, bias) in enumerate(self._layers)}
         return {"mean": self._standardise.mean, "std": self._standardise.std, **weights, **biases}
 
+    def shapes(self, inputs: int) -> dict[str, tuple[int, ...]]:
+        """Standardisation and the dense layers of the actor."""
+        widths = (inputs, *self.hidden, len(self.experts))
+        dense = [((f"weight.{i}", (n, m)), (f"bias.{i}", (n,))) for i, (m, n) in enumerate(pairwise(widths))]
+        return {"mean": (inputs,), "std": (inputs,), **dict(pair for layer in dense for pair in layer)}
+
     def restore(self, tensors: Mapping[str, NDArray[Any]]) -> None:
         """Take back standardisation and actor."""
-        self._standardise = Standardise(tensors["mean"], tensors["std"])
-        self._layers = [(tensors[f"weight.{i}"], tensors[f"bias.{i}"]) for i in range(len(self.hidden) + 1)]
+        values = {name: finite(name, value).astype(np.float32) for name, value in tensors.items()}
+        self._standardise = Standardise(values["mean"], positive("std", values["std"]))
+        self._layers = [(values[f"weight.{i}"], values[f"bias.{i}"]) for i in range(len(self.hidden) + 1)]
 
 
 def flat(observation: Observation) -> NDArray[np.float32]:

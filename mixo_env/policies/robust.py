@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from mixo_env.geometry import MAD_TO_SIGMA
 from mixo_env.policies.policy import Observation, Policy, Weights
+from mixo_env.policies.storage import LARGEST
 from mixo_env.recordings.collection import Recordings
 
 EFFICIENCY_95 = 1.345
@@ -103,6 +104,13 @@ class Huber(Policy):
         """The scales."""
         return {"scale_rad": self._scale_rad}
 
+    def shapes(self, inputs: int) -> dict[str, tuple[int, ...]]:
+        """One scale an expert."""
+        return {"scale_rad": (len(self.experts),)}
+
     def restore(self, tensors: Mapping[str, NDArray[Any]]) -> None:
         """Take back the scales."""
-        self._scale_rad = tensors["scale_rad"]
+        self._scale_rad = tensors["scale_rad"].astype(np.float64)
+        known = self._scale_rad[np.isfinite(self._scale_rad)]  # an infinite one means no weight
+        if np.any(self._scale_rad < SMALLEST_SCALE_RAD) or np.any(known > LARGEST):
+            raise ValueError(f"expected scales of errors from {SMALLEST_SCALE_RAD:g} to {LARGEST:g} rad, or infinite")

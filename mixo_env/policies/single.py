@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mixo_env.policies.policy import Observation, Policy, Weights
 
@@ -28,6 +30,11 @@ class Single(Policy):
         weights = np.zeros(observation["yaw_rates"].shape)
         weights[:, self.experts.index(self.name)] = 1.0
         return weights
+
+    def restore(self, tensors: Mapping[str, NDArray[Any]]) -> None:
+        """Nothing was learned; its expert must be among those it weights."""
+        if self.name not in self.experts:
+            raise ValueError(f"{self.name} is not among its experts")
 
     def settings(self) -> dict[str, Any]:
         """The expert's name."""
