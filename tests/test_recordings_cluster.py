@@ -1,4 +1,4 @@
-"""Recording on a Dask cluster gives the bytes that recording here gives."""
+"""Recording on a Dask cluster gives the bytes that recording here gives, with a worker killed too."""
 
 from __future__ import annotations
 
@@ -12,11 +12,22 @@ from mixo_env.errors import ConfigurationError
 from mixo_env.recordings.processes import processes
 
 SCRIPT = """
-import sys
+import os, signal, sys
+from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from distributed import LocalCluster
 from mixo_env.recordings.record import RecordConfig, record
-from tests.recording_fakes import FAKES, FakeDataset, make_scene
+from tests.recording_fakes import FAKES, FakeCamera, FakeDataset, make_scene
+
+
+class Deadly(FakeCamera):
+    def __init__(self, calibration, lives):
+        super().__init__(calibration)
+        if left := int(lives.read_text() or 0):
+            lives.write_text(str(left - 1))
+            os.kill(os.getpid(), signal.SIGKILL)
+
 
 if __name__ == "__main__":
     folder = Path(sys.argv[1])
@@ -24,11 +35,15 @@ if __name__ == "__main__":
     record(dataset, RecordConfig(), folder / "here", experts=FAKES)
     with LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as cluster:
         record(dataset, RecordConfig(), folder / "there", experts=FAKES, scheduler=cluster.scheduler_address)
+        (folder / "lives").write_text("1")
+        experts = replace(FAKES, camera=partial(Deadly, lives=folder / "lives"))
+        record(dataset, RecordConfig(), folder / "killed", experts=experts, scheduler=cluster.scheduler_address)
+        assert (folder / "lives").read_text() == "0"
 """
 
 
 @pytest.mark.integration
-def test_a_cluster_records_the_same(tmp_path):
+def test_a_cluster_records_the_same_with_a_worker_killed_too(tmp_path):
     pytest.importorskip("distributed")
     (tmp_path / "script.py").write_text(SCRIPT)
     command = [sys.executable, str(tmp_path / "script.py"), str(tmp_path)]
@@ -36,7 +51,9 @@ def test_a_cluster_records_the_same(tmp_path):
     done = subprocess.run(command, cwd=root, env={"PYTHONPATH": str(root)}, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     for name in ("recordings.parquet", "manifest.json"):
-        assert (tmp_path / "here" / name).read_bytes() == (tmp_path / "there" / name).read_bytes()
+        here = (tmp_path / "here" / name).read_bytes()
+        assert (tmp_path / "there" / name).read_bytes() == here
+        assert (tmp_path / "killed" / name).read_bytes() == here
 
 
 def test_a_scheduler_that_is_not_there_is_one_clear_error():

@@ -133,7 +133,9 @@ def _exchanged(rng: np.random.Generator, description: dict[str, Any], tensors: d
                 tensors[name if rng.random() < 0.9 else f"{name}?"] = value
         else:
             _exchange_value(rng, description)
-    return save(tensors, metadata={DESCRIPTION: json.dumps(description)})
+    return save(
+        {name: np.asarray(value) for name, value in tensors.items()}, metadata={DESCRIPTION: json.dumps(description)}
+    )
 
 
 def _another(rng: np.random.Generator, value: NDArray[Any]) -> NDArray[Any] | None:
