@@ -72,11 +72,7 @@ def test_the_pages_are_followed_word_by_word(tmp_path):
             done = subprocess.run(
                 ["bash", "-c", line.replace(FOLDER, str(root))],
                 cwd=work,
-                env={
-                    "PATH": f"{Path(sys.executable).parent}:/usr/bin:/bin",
-                    "PYTHONPATH": str(REPOSITORY),
-                    "HOME": str(tmp_path),
-                },
+                env=environment,
                 capture_output=True,
                 text=True,
                 check=False,
