@@ -110,9 +110,16 @@ class Record:
             )
         manifest = recordings.manifest
         skipped = len(manifest.parameters["skipped"])
+        broken = sum(
+            count
+            for of_scene in manifest.parameters["broken_images"].values()
+            for camera, count in of_scene.items()
+            if camera in manifest.cameras
+        )
         print(
             f"{self.out}: {len(recordings)} scenes, {len(recordings['step']):,} rows, "
             f"{len({scene.log for scene in recordings.scenes})} logs ({manifest.data_version})"
+            + (f"; no image in {broken} steps for the reasons above" if broken else "")
             + (f"; {skipped} skipped for the reasons above: the same command tries them again" if skipped else "")
         )
         return 1 if skipped else 0

@@ -23,6 +23,7 @@ UNDECODABLE = "not to be decoded"
 """Of a file that is damaged between a sound beginning and a sound end."""
 
 _HEADER_BYTES = 1_024
+_LONGEST_HEADER_BYTES = 2**22
 _TAIL_BYTES = 64
 _SIZE_MARKERS = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 _START, _END = b"\xff\xd8", b"\xff\xd9"
@@ -102,7 +103,7 @@ def describe_broken(camera: str, faults: Mapping[int, str], paths: Sequence[Path
 
 
 def jpeg_size(file: BinaryIO) -> tuple[int, int] | None:
-    """Width and height in the header of a JPEG; ``None`` if it is none. Reads on only past long comments."""
+    """Width and height in the header of a JPEG; ``None`` if it is none, or if its header never ends."""
     head = file.read(_HEADER_BYTES)
     if not head.startswith(_START):
         return None
@@ -110,6 +111,8 @@ def jpeg_size(file: BinaryIO) -> tuple[int, int] | None:
     while True:
         if at + 9 > len(head):
             start += at
+            if start > _LONGEST_HEADER_BYTES:
+                return None
             file.seek(start)
             head, at = file.read(_HEADER_BYTES), 0
             if len(head) < 9:
