@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import shlex
 import subprocess
@@ -63,8 +64,8 @@ def test_every_command_of_the_pages_is_understood(tmp_path, monkeypatch, capsys)
 @pytest.mark.integration
 def test_the_pages_are_followed_word_by_word(tmp_path):
     root = stand_in(tmp_path)
-    path = f"{Path(sys.executable).parent}:/usr/bin:/bin"
-    environment = {"PATH": path, "PYTHONPATH": str(REPOSITORY), "HOME": str(tmp_path)}
+    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    environment = os.environ | {"PATH": path, "PYTHONPATH": str(REPOSITORY)}
     for page in PAGES:
         work = tmp_path / page
         work.mkdir()
