@@ -108,7 +108,7 @@ SCENE_FAULTS: dict[str, Fault] = {
         "camera_intrinsic",
     ),
     "intrinsic-ragged": (
-        table("calibrated_sensor", each("camera_intrinsic", lambda k: [k[0], k[1][:2], k[2]])),
+        table("calibrated_sensor", each("camera_intrinsic", lambda k: k and [k[0], k[1][:2], k[2]])),
         "camera_intrinsic",
     ),
     "intrinsic-empty": (table("calibrated_sensor", each("camera_intrinsic", lambda k: [])), "camera_intrinsic"),
