@@ -107,6 +107,10 @@ SCENE_FAULTS: dict[str, Fault] = {
         table("calibrated_sensor", each("camera_intrinsic", lambda k: [[0.0] * 3] * 3)),
         "camera_intrinsic",
     ),
+    "intrinsic-ragged": (
+        table("calibrated_sensor", each("camera_intrinsic", lambda k: k and [k[0], k[1][:2], k[2]])),
+        "camera_intrinsic",
+    ),
     "intrinsic-empty": (table("calibrated_sensor", each("camera_intrinsic", lambda k: [])), "camera_intrinsic"),
     "intrinsic-of-half-size": (
         table(

@@ -257,8 +257,9 @@ def _calibration(label: str, records: list[CalibrationRecord]) -> CameraCalibrat
     record = records[0]
     if any(other != record for other in records[1:]):
         raise DatasetError(f"{label}: the calibration changes within the scene; expected one per scene and camera")
-    intrinsic = np.array(record.intrinsic, dtype=np.float64)
-    if intrinsic.shape != (3, 3) or not np.all(np.isfinite(intrinsic)) or intrinsic[0, 0] <= 0 or intrinsic[1, 1] <= 0:
+    is_square = [len(row) for row in record.intrinsic] == [3, 3, 3]  # rows of the file may differ in length
+    intrinsic = np.array(record.intrinsic if is_square else np.zeros((3, 3)), dtype=np.float64)
+    if not np.all(np.isfinite(intrinsic)) or intrinsic[0, 0] <= 0 or intrinsic[1, 1] <= 0:
         raise DatasetError(
             f"{label}: camera_intrinsic must be a finite 3x3 matrix with focal lengths > 0, it is {record.intrinsic}"
         )

@@ -119,7 +119,7 @@ def lag_of(
     basis, _ = np.linalg.qr(np.column_stack([np.ones(len(at_us)), drift]))
     # Lags are whole steps of the grid: one integral over a longer grid holds the shifted ones, the latest lag first.
     steps = margin_us // GRID_US
-    lags = 1e-6 * GRID_US * np.arange(-steps, steps + 1, dtype=np.float64)
+    lags: FloatArray = 1e-6 * GRID_US * np.arange(-steps, steps + 1, dtype=np.float64)
     longer = integral(sensor_us, sensor_rate, begin + GRID_US * np.arange(-steps, len(at_us) + steps))
     shifted = np.lib.stride_tricks.sliding_window_view(longer, len(at_us))[::-1].copy()
     true = true - basis @ (basis.T @ true)
