@@ -25,9 +25,6 @@ from pathlib import Path
 import cv2
 import numpy as np
 import tyro
-from mixo_env.simulator.picture.render import Renderer
-from mixo_env.simulator.drive.rig import nominal_calibration
-from mixo_env.simulator.city.world import build_world
 from numpy.typing import NDArray
 
 from experiments.speed.rendering import TOUR, camera_pose, traffic
@@ -36,6 +33,9 @@ from mixo_env.experts.monocular.config import MonocularConfig
 from mixo_env.experts.monocular.odometry import MonocularOdometry
 from mixo_env.nuscenes.scene import CameraCalibration, CanBus, Signal
 from mixo_env.nuscenes.selections import ALL_CAMERAS
+from mixo_env.simulator.city.world import build_world
+from mixo_env.simulator.drive.rig import nominal_calibration
+from mixo_env.simulator.picture.render import Renderer
 
 SIZE = (800, 450)
 """Width and height: full size for preset "fast", which halves nothing that is so small."""
