@@ -48,6 +48,7 @@ def test_an_interruption_says_what_is_kept(
     monkeypatch.setattr(command, "run", stop)
     arguments = {
         "Benchmark": ["benchmark"],
+        "Score": ["score", "LINEAR"],
         "Simulate": ["simulate", "city"],
         "Inspect": ["inspect", "root"],
         "Record": ["record", "root", "--out", "out"],

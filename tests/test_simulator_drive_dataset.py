@@ -51,7 +51,7 @@ def test_cameras_do_not_influence_each_other(folder, tmp_path):
     four, six = open_dataset(folder), open_dataset(tmp_path / "six")
     assert set(six.channels) == set(ALL_CAMERAS)
     for name in four.scene_names:
-        one, other = four.load(name, CAMERAS), six.load(name, CAMERAS, require_images=False)
+        one, other = four.load(name, CAMERAS), six.load(name, CAMERAS)
         for channel in CAMERAS:
             assert np.array_equal(one.cameras[channel].timestamp_us, other.cameras[channel].timestamp_us)
             assert np.array_equal(one.cameras[channel].x_m, other.cameras[channel].x_m)

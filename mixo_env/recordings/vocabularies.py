@@ -14,6 +14,7 @@ from typing import cast
 import numpy as np
 from numpy.typing import NDArray
 
+from mixo_env.errors import DatasetError
 from mixo_env.experts.monocular.config import MonocularConfig
 from mixo_env.nuscenes.tables import Dataset
 from mixo_env.recordings.folds import FOLD_RULES, OUT_OF_DISTRIBUTION
@@ -103,7 +104,11 @@ def retrain(
 def scene_descriptors(
     dataset: Dataset, scene: str, camera: str, config: MonocularConfig, share: float, seed: int
 ) -> Descriptors:
-    """Descriptors ``(n, 4)`` of the corners in a random share of one camera's images of one scene; broken ones lack."""
+    """Descriptors ``(n, 4)`` of the corners in a random share of one camera's images of one scene; broken ones lack.
+
+    Raises:
+        DatasetError: when not one of them can be read.
+    """
     import cv2
 
     from mixo_env.experts.monocular.camera import mount
@@ -114,6 +119,13 @@ def scene_descriptors(
     mounted = mount(track.calibration, config.max_pixels)
     rng = np.random.default_rng([seed, *scene.encode(), *camera.encode()])
     some = np.flatnonzero(rng.random(len(track.image_paths)) < share)
-    images = (readable(track.image_paths[i], track.calibration, mounted.halvings) for i in some)
-    words = [detector.detect(mounted.shrink(image)).descriptor for image in images if not isinstance(image, str)]
+    words, faults = [], []
+    for i in some:
+        image = readable(track.image_paths[i], track.calibration, mounted.halvings)
+        if isinstance(image, str):
+            faults.append(image)
+        else:
+            words.append(detector.detect(mounted.shrink(image)).descriptor)
+    if faults and not words:
+        raise DatasetError(f"{scene}: none of {len(faults)} images of {camera} can be used, the first {faults[0]}")
     return np.concatenate([np.empty((0, 4), np.uint64), *words])
