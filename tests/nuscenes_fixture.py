@@ -224,67 +224,77 @@ def _write_scene(root, tables, drive: Drive, duration_s, images, rng) -> SceneTr
     cameras = {}
     for channel in [*RIG, "LIDAR_TOP"]:
         truth = CameraTruth()
-        calibrated = token(drive.name, "calibrated", channel)
-        row: dict = {"token": calibrated, "sensor_token": token("sensor", channel)}
-        if channel in RIG:
-            mount, yaw_deg, focal, centre, offset_ms = RIG[channel]
-            jitter = rng.normal(0.0, 0.01, 3)
-            truth.translation_m = tuple(float(a + b) for a, b in zip(mount, jitter, strict=True))
-            truth.rotation = _camera_rotation(yaw_deg + rng.normal(0.0, 0.5))
-            focal *= 1 + rng.normal(0.0, 0.005)
-            truth.intrinsic = [[focal, 0.0, centre[0]], [0.0, focal, centre[1]], [0.0, 0.0, 1.0]]
-            row |= {"translation": list(truth.translation_m), "rotation": _quaternion(truth.rotation)}
-            row |= {"camera_intrinsic": truth.intrinsic}
-        else:
-            offset_ms = 0.0
-            row |= {"translation": [0.94, 0.0, 1.84], "rotation": [0.7071068, 0, 0, -0.7071068], "camera_intrinsic": []}
-        tables["calibrated_sensor"].append(row)
-
-        chosen = list(frames)
-        if channel == "CAM_BACK":
-            del chosen[4]  # a dropped sweep
-        tokens = [token(drive.name, channel, time) for time, _ in chosen]
-        for i, (time, is_key) in enumerate(chosen):
-            stamp = drive.start_us + time + round(offset_ms * 1000)
-            seconds = (stamp - drive.start_us) * 1e-6
-            x, y = drive.position_m(seconds)
-            yaw = drive.yaw_rad(seconds)
-            sign = -1.0 if i % 5 == 3 else 1.0
-            rotation = [sign * math.cos(yaw / 2), 0.0, 0.0, sign * math.sin(yaw / 2)]
-            folder = "samples" if is_key else "sweeps"
-            extension = "jpg" if channel in RIG else "pcd.bin"
-            filename = f"{folder}/{channel}/{drive.log}__{channel}__{stamp}.{extension}"
-            size = (1600, 900) if channel in RIG else (0, 0)
-            tables["ego_pose"].append(
-                {"token": tokens[i], "timestamp": stamp, "rotation": rotation, "translation": [x, y, 0.0]}
-            )
-            tables["sample_data"].append(
-                {
-                    "token": tokens[i],
-                    "sample_token": samples[next(k for k, key in enumerate(keys) if key >= time)],
-                    "ego_pose_token": tokens[i],
-                    "calibrated_sensor_token": calibrated,
-                    "timestamp": stamp,
-                    "fileformat": extension.split(".")[0],
-                    "is_key_frame": is_key,
-                    "height": size[1],
-                    "width": size[0],
-                    "filename": filename,
-                    "prev": tokens[i - 1] if i else "",
-                    "next": tokens[i + 1] if i + 1 < len(tokens) else "",
-                }
-            )
-            if channel in RIG:
-                truth.filenames.append(filename)
-                truth.timestamp_us.append(stamp)
-                truth.is_keyframe.append(is_key)
-                truth.pose.append((x, y, yaw))
-                if images:
-                    (root / filename).parent.mkdir(parents=True, exist_ok=True)
-                    (root / filename).write_bytes(grey_jpeg())
+        offset_ms = _write_calibration(tables, drive, channel, truth, rng)
+        filenames = _write_images(tables, drive, channel, truth, (frames, samples, offset_ms))
         if channel in RIG:
             cameras[channel] = truth
+            for filename in filenames if images else ():
+                (root / filename).parent.mkdir(parents=True, exist_ok=True)
+                (root / filename).write_bytes(grey_jpeg())
     return SceneTruth(drive, cameras)
+
+
+def _write_calibration(tables, drive: Drive, channel: str, truth: CameraTruth, rng) -> float:
+    """One row of ``calibrated_sensor``; returns how late the sensor fires [ms]."""
+    row: dict = {"token": token(drive.name, "calibrated", channel), "sensor_token": token("sensor", channel)}
+    offset_ms = 0.0
+    if channel in RIG:
+        mount, yaw_deg, focal, centre, offset_ms = RIG[channel]
+        jitter = rng.normal(0.0, 0.01, 3)
+        truth.translation_m = tuple(float(a + b) for a, b in zip(mount, jitter, strict=True))
+        truth.rotation = _camera_rotation(yaw_deg + rng.normal(0.0, 0.5))
+        focal *= 1 + rng.normal(0.0, 0.005)
+        truth.intrinsic = [[focal, 0.0, centre[0]], [0.0, focal, centre[1]], [0.0, 0.0, 1.0]]
+        row |= {"translation": list(truth.translation_m), "rotation": _quaternion(truth.rotation)}
+        row |= {"camera_intrinsic": truth.intrinsic}
+    else:
+        row |= {"translation": [0.94, 0.0, 1.84], "rotation": [0.7071068, 0, 0, -0.7071068], "camera_intrinsic": []}
+    tables["calibrated_sensor"].append(row)
+    return offset_ms
+
+
+def _write_images(tables, drive: Drive, channel: str, truth: CameraTruth, timing) -> list[str]:
+    """Rows of ``sample_data`` and ``ego_pose`` of one sensor; returns the names of its files."""
+    frames, samples, offset_ms = timing
+    keys = [time for time, is_key in frames if is_key]
+    chosen = list(frames)
+    if channel == "CAM_BACK":
+        del chosen[4]  # a dropped sweep
+    tokens = [token(drive.name, channel, time) for time, _ in chosen]
+    extension = "jpg" if channel in RIG else "pcd.bin"
+    width, height = (1600, 900) if channel in RIG else (0, 0)
+    for i, (time, is_key) in enumerate(chosen):
+        stamp = drive.start_us + time + round(offset_ms * 1000)
+        seconds = (stamp - drive.start_us) * 1e-6
+        x, y = drive.position_m(seconds)
+        yaw = drive.yaw_rad(seconds)
+        sign = -1.0 if i % 5 == 3 else 1.0
+        rotation = [sign * math.cos(yaw / 2), 0.0, 0.0, sign * math.sin(yaw / 2)]
+        filename = f"{'samples' if is_key else 'sweeps'}/{channel}/{drive.log}__{channel}__{stamp}.{extension}"
+        tables["ego_pose"].append(
+            {"token": tokens[i], "timestamp": stamp, "rotation": rotation, "translation": [x, y, 0.0]}
+        )
+        tables["sample_data"].append(
+            {
+                "token": tokens[i],
+                "sample_token": samples[next(k for k, key in enumerate(keys) if key >= time)],
+                "ego_pose_token": tokens[i],
+                "calibrated_sensor_token": token(drive.name, "calibrated", channel),
+                "timestamp": stamp,
+                "fileformat": extension.split(".")[0],
+                "is_key_frame": is_key,
+                "height": height,
+                "width": width,
+                "filename": filename,
+                "prev": tokens[i - 1] if i else "",
+                "next": tokens[i + 1] if i + 1 < len(tokens) else "",
+            }
+        )
+        truth.filenames.append(filename)
+        truth.timestamp_us.append(stamp)
+        truth.is_keyframe.append(is_key)
+        truth.pose.append((x, y, yaw))
+    return truth.filenames
 
 
 def write_can_bus(folder: Path, drive: Drive, duration_s: float, gyro_bias_radps: float = 0.0) -> None:

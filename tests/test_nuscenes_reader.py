@@ -262,14 +262,6 @@ class TestBadInput:
         rewrite(small / "v1.0-mini" / "sample_data.json", swap)
         assert open_dataset(small).load("scene-2061").cameras["CAM_FRONT"].x_m[0] == pytest.approx(600, abs=1)
 
-    def test_missing_image(self, small):
-        dataset = open_dataset(small)
-        dataset.load("scene-2061").cameras["CAM_BACK"].image_paths[3].unlink()
-        with pytest.raises(DatasetError, match=r"CAM_BACK: 1 of .* images are missing"):
-            dataset.load("scene-2061")
-        dataset.load("scene-2061", ("CAM_FRONT",))
-        dataset.load("scene-2061")
-
     def test_no_such_scene_camera_or_version(self, small):
         dataset = open_dataset(small)
         with pytest.raises(ConfigurationError, match="did you mean 'scene-2061'"):

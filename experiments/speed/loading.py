@@ -123,82 +123,86 @@ def write_tables(root: Path, scenes: int) -> int:
         {"token": log, "logfile": logfile, "vehicle": "n015", "date_captured": "2018-07-24", "location": "singapore"}
     )
     writers["map"].add({"token": _token("map", 0), "log_tokens": [log], "category": "", "filename": "maps/none.png"})
-    rows = 0
-    for scene in range(1, scenes + 1):
-        begin = 1_532_402_927_000_000 + scene * 30_000_000
-        samples = [_token("sample", scene * 1000 + i) for i in range(KEYFRAMES)]
-        writers["scene"].add(
-            {
-                "token": _token("scene", scene),
-                "log_token": log,
-                "nbr_samples": KEYFRAMES,
-                "first_sample_token": samples[0],
-                "last_sample_token": samples[-1],
-                "name": f"scene-{scene:04d}",
-                "description": "Parked truck, construction, intersection",
-            }
-        )
-        for i, key in enumerate(samples):
-            writers["sample"].add(
-                {
-                    "token": key,
-                    "timestamp": begin + i * 500_000,
-                    "prev": samples[i - 1] if i else "",
-                    "next": samples[i + 1] if i + 1 < KEYFRAMES else "",
-                    "scene_token": _token("scene", scene),
-                }
-            )
-        for j, (channel, rate) in enumerate(RATE_HZ.items()):
-            calibrated = _token("calibrated", scene * 100 + j)
-            is_camera = channel in CAMERAS
-            writers["calibrated_sensor"].add(
-                {
-                    "token": calibrated,
-                    "sensor_token": sensor[channel],
-                    "translation": [1.7, 0.01, 1.5],
-                    "rotation": [0.5, -0.5, 0.5, -0.5],
-                    "camera_intrinsic": [[1266.4, 0.0, 816.3], [0.0, 1266.4, 491.5], [0.0, 0.0, 1.0]] * is_camera,
-                }
-            )
-            count = int(rate * SECONDS)
-            for i in range(count):
-                key = _token("data", ((scene * 20 + j) << 12) + i)
-                time = begin + int(i * 1e6 / rate)
-                is_key = i % max(1, count // KEYFRAMES) == 0
-                folder_name = "samples" if is_key else "sweeps"
-                writers["sample_data"].add(
-                    {
-                        "token": key,
-                        "sample_token": samples[min(KEYFRAMES - 1, i * KEYFRAMES // count)],
-                        "ego_pose_token": key,
-                        "calibrated_sensor_token": calibrated,
-                        "timestamp": time,
-                        "fileformat": "jpg",
-                        "is_key_frame": is_key,
-                        "height": 900 * is_camera,
-                        "width": 1600 * is_camera,
-                        "filename": f"{folder_name}/{channel}/{logfile}__{channel}__{time}.jpg",
-                        "prev": _token("data", ((scene * 20 + j) << 12) + i - 1) if i else "",
-                        "next": _token("data", ((scene * 20 + j) << 12) + i + 1) if i + 1 < count else "",
-                    }
-                )
-                writers["ego_pose"].add(
-                    {
-                        "token": key,
-                        "timestamp": time,
-                        "rotation": [
-                            0.5720320396729045,
-                            -0.0016977771610471074,
-                            0.011798001930183783,
-                            -0.8201446642457809,
-                        ],
-                        "translation": [411.3039349319818 + 0.01 * i, 1180.8903791765097, 0.0],
-                    }
-                )
-                rows += 1
+    rows = sum(_write_scene(writers, scene, log, logfile, sensor) for scene in range(1, scenes + 1))
     for writer in writers.values():
         writer.close()
     return rows
+
+
+def _write_scene(writers: dict[str, _Table], scene: int, log: str, logfile: str, sensor: dict[str, str]) -> int:
+    """Rows of one scene; returns the number of its images and scans."""
+    begin = 1_532_402_927_000_000 + scene * 30_000_000
+    samples = [_token("sample", scene * 1000 + i) for i in range(KEYFRAMES)]
+    writers["scene"].add(
+        {
+            "token": _token("scene", scene),
+            "log_token": log,
+            "nbr_samples": KEYFRAMES,
+            "first_sample_token": samples[0],
+            "last_sample_token": samples[-1],
+            "name": f"scene-{scene:04d}",
+            "description": "Parked truck, construction, intersection",
+        }
+    )
+    for i, key in enumerate(samples):
+        writers["sample"].add(
+            {
+                "token": key,
+                "timestamp": begin + i * 500_000,
+                "prev": samples[i - 1] if i else "",
+                "next": samples[i + 1] if i + 1 < KEYFRAMES else "",
+                "scene_token": _token("scene", scene),
+            }
+        )
+    for j, channel in enumerate(RATE_HZ):
+        row = {
+            "token": _token("calibrated", scene * 100 + j),
+            "sensor_token": sensor[channel],
+            "translation": [1.7, 0.01, 1.5],
+            "rotation": [0.5, -0.5, 0.5, -0.5],
+            "camera_intrinsic": [[1266.4, 0.0, 816.3], [0.0, 1266.4, 491.5], [0.0, 0.0, 1.0]] * (channel in CAMERAS),
+        }
+        writers["calibrated_sensor"].add(row)
+        _write_channel(writers, (scene * 20 + j) << 12, channel, begin, (row["token"], logfile, samples))
+    return sum(int(rate * SECONDS) for rate in RATE_HZ.values())
+
+
+def _write_channel(
+    writers: dict[str, _Table], first: int, channel: str, begin: int, of: tuple[str, str, list[str]]
+) -> None:
+    """Images or scans of one sensor in one scene, and a pose for each; ``of``: calibration, log file, samples."""
+    calibrated, logfile, samples = of
+    is_camera = channel in CAMERAS
+    count = int(RATE_HZ[channel] * SECONDS)
+    for i in range(count):
+        key = _token("data", first + i)
+        time = begin + int(i * 1e6 / RATE_HZ[channel])
+        is_key = i % max(1, count // KEYFRAMES) == 0
+        folder_name = "samples" if is_key else "sweeps"
+        writers["sample_data"].add(
+            {
+                "token": key,
+                "sample_token": samples[min(KEYFRAMES - 1, i * KEYFRAMES // count)],
+                "ego_pose_token": key,
+                "calibrated_sensor_token": calibrated,
+                "timestamp": time,
+                "fileformat": "jpg",
+                "is_key_frame": is_key,
+                "height": 900 * is_camera,
+                "width": 1600 * is_camera,
+                "filename": f"{folder_name}/{channel}/{logfile}__{channel}__{time}.jpg",
+                "prev": _token("data", first + i - 1) if i else "",
+                "next": _token("data", first + i + 1) if i + 1 < count else "",
+            }
+        )
+        writers["ego_pose"].add(
+            {
+                "token": key,
+                "timestamp": time,
+                "rotation": [0.5720320396729045, -0.0016977771610471074, 0.011798001930183783, -0.8201446642457809],
+                "translation": [411.3039349319818 + 0.01 * i, 1180.8903791765097, 0.0],
+            }
+        )
 
 
 class _Table:

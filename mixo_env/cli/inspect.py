@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import tyro
 
@@ -89,48 +89,12 @@ def _cameras(dataset: Dataset, wanted: tuple[str, ...]) -> tuple[str, ...]:
 
 
 def _print_table(inspection: Inspection) -> None:
+    """What was measured, what is wrong, and the verdict."""
     from rich.console import Console
-    from rich.markup import escape
-    from rich.table import Table
-
-    def shown(text: object) -> str:
-        return escape(printable(str(text)))
-
-    def number(value: float | None, spec: str, factor: float = 1.0) -> str:
-        return "" if value is None else format(factor * value, spec)
 
     console = Console()
-    table = Table(title=shown(f"{inspection.root}, {inspection.version}"), title_justify="left")
-    for heading in ("scene", "conditions"):
-        table.add_column(heading, no_wrap=True)
-    for heading in ("s", "m", "turn °", "images", "gyro r", "wheels"):
-        table.add_column(heading, justify="right", no_wrap=True)
-    measures = Table()
-    for heading in ("scene", *_RATES, "latency ms", "lag ms", "course °", "noise °"):
-        measures.add_column(heading, justify="left" if heading == "scene" else "right", no_wrap=True)
-    for scene in inspection.scenes:
-        style = "red" if scene.problems else None
-        table.add_row(
-            shown(scene.name),
-            " ".join(scene.conditions),
-            f"{scene.duration_s:.1f}",
-            f"{scene.distance_m:.1f}",
-            f"{scene.turn_deg:.1f}",
-            str(sum(scene.images.values())),
-            number(scene.gyro_correlation, ".3f"),
-            number(scene.wheel_ratio, ".3f"),
-            style=style,
-        )
-        measures.add_row(
-            shown(scene.name),
-            *(number(scene.rates_hz.get(message), ".0f") for message in _RATES.values()),
-            number(scene.imu_latency_s, ".0f", 1e3),
-            number(scene.pose_lag_s, ".0f", 1e3),
-            number(scene.course_offset_deg, ".1f"),
-            number(scene.truth_noise_deg, ".3f"),
-            style=style,
-        )
-    console.print(table)
+    scenes, measures = _tables(inspection)
+    console.print(scenes)
     console.print(
         "gyro r: correlation of ms_imu with the poses' yaw rate, where the car turns. "
         "wheels: distance rolled at r = 0.305 m over true distance."
@@ -141,11 +105,11 @@ def _print_table(inspection: Inspection) -> None:
         "course: direction of motion minus heading. noise: RMS difference of half-second turns, poses against ms_imu."
     )
     for problem in inspection.problems:
-        console.print(f"[red]problem[/red] {shown(problem)}", soft_wrap=True, highlight=False)
+        console.print(f"[red]problem[/red] {_shown(problem)}", soft_wrap=True, highlight=False)
     for scene in inspection.scenes:
         for kind, remarks in (("[red]problem[/red]", scene.problems), ("note", scene.notes)):
             for remark in remarks:
-                console.print(f"{kind} {shown(scene.name)}: {shown(remark)}", soft_wrap=True, highlight=False)
+                console.print(f"{kind} {_shown(scene.name)}: {_shown(remark)}", soft_wrap=True, highlight=False)
     cameras = sorted({camera for scene in inspection.scenes for camera in scene.images})
     total_km = 1e-3 * sum(scene.distance_m for scene in inspection.scenes)
     bad = sum(bool(scene.problems) for scene in inspection.scenes)
@@ -154,6 +118,53 @@ def _print_table(inspection: Inspection) -> None:
     console.print(
         f"{len(inspection.scenes)} scenes, {total_km:.2f} km, {bad} with problems: {verdict}", highlight=False
     )
+
+
+def _tables(inspection: Inspection) -> tuple[Any, Any]:
+    """One line a scene: how it drove, and what its messages are like; red where something is wrong."""
+    from rich.table import Table
+
+    scenes = Table(title=_shown(f"{inspection.root}, {inspection.version}"), title_justify="left")
+    for heading in ("scene", "conditions"):
+        scenes.add_column(heading, no_wrap=True)
+    for heading in ("s", "m", "turn °", "images", "gyro r", "wheels"):
+        scenes.add_column(heading, justify="right", no_wrap=True)
+    measures = Table()
+    for heading in ("scene", *_RATES, "latency ms", "lag ms", "course °", "noise °"):
+        measures.add_column(heading, justify="left" if heading == "scene" else "right", no_wrap=True)
+    for scene in inspection.scenes:
+        style = "red" if scene.problems else None
+        scenes.add_row(
+            _shown(scene.name),
+            " ".join(scene.conditions),
+            f"{scene.duration_s:.1f}",
+            f"{scene.distance_m:.1f}",
+            f"{scene.turn_deg:.1f}",
+            str(sum(scene.images.values())),
+            _number(scene.gyro_correlation, ".3f"),
+            _number(scene.wheel_ratio, ".3f"),
+            style=style,
+        )
+        measures.add_row(
+            _shown(scene.name),
+            *(_number(scene.rates_hz.get(message), ".0f") for message in _RATES.values()),
+            _number(scene.imu_latency_s, ".0f", 1e3),
+            _number(scene.pose_lag_s, ".0f", 1e3),
+            _number(scene.course_offset_deg, ".1f"),
+            _number(scene.truth_noise_deg, ".3f"),
+            style=style,
+        )
+    return scenes, measures
+
+
+def _shown(text: object) -> str:
+    from rich.markup import escape
+
+    return escape(printable(str(text)))
+
+
+def _number(value: float | None, spec: str, factor: float = 1.0) -> str:
+    return "" if value is None else format(factor * value, spec)
 
 
 _RATES = {"wheel Hz": "zoe_veh_info", "IMU Hz": "ms_imu", "pose Hz": "pose", "monitor Hz": "vehicle_monitor"}

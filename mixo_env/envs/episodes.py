@@ -54,30 +54,7 @@ def write_minari(
         raise ConfigurationError("Minari export: expected an environment made by gymnasium.make, got one without spec")
     if episodes is None:
         episodes = len(env.unwrapped.session.recordings)  # type: ignore[attr-defined]
-    buffers = []
-    for i in range(episodes):
-        observation, info = env.reset(seed=seed if i == 0 else None)
-        observations, actions, rewards, ends = [observation], [], [], []
-        while not ends or not ends[-1]:
-            action = act(observation)
-            observation, reward, _, truncated, info = env.step(action)
-            observations.append(observation)
-            actions.append(action)
-            rewards.append(reward)
-            ends.append(truncated)
-        buffers.append(
-            EpisodeBuffer(
-                id=i,
-                seed=seed if i == 0 else None,
-                options={"scene": info["scores"]["scene"]},
-                observations=stacked(observations),
-                actions=actions,
-                rewards=rewards,
-                terminations=[False] * len(ends),
-                truncations=ends,
-                infos={},
-            )
-        )
+    buffers = [EpisodeBuffer(id=i, **played(env, act, seed if i == 0 else None)) for i in range(episodes)]
     return minari.create_dataset_from_buffers(
         dataset_id=dataset_id,
         buffer=buffers,
@@ -87,6 +64,29 @@ def write_minari(
         description=f"Episodes of {env.spec.id}, options {env.spec.kwargs}",
         requirements=["mixo-env"],
     )
+
+
+def played(env: gym.Env[Any, Any], act: Callable[[Any], Any], seed: int | None) -> dict[str, Any]:
+    """One episode, by the names of Minari's ``EpisodeBuffer``."""
+    observation, info = env.reset(seed=seed)
+    observations, actions, rewards, ends = [observation], [], [], []
+    while not ends or not ends[-1]:
+        action = act(observation)
+        observation, reward, _, truncated, info = env.step(action)
+        observations.append(observation)
+        actions.append(action)
+        rewards.append(reward)
+        ends.append(truncated)
+    return {
+        "seed": seed,
+        "options": {"scene": info["scores"]["scene"]},
+        "observations": stacked(observations),
+        "actions": actions,
+        "rewards": rewards,
+        "terminations": [False] * len(ends),
+        "truncations": ends,
+        "infos": {},
+    }
 
 
 def stacked(observations: list[Any]) -> Any:

@@ -86,10 +86,8 @@ class Replay:
             ConfigurationError: for an unknown option value.
             RecordingError: when a step has no duration or no distance.
         """
-        for kind, value, valid in (
-            ("previous", previous, ("fused", "inertial", "truth")),
-            ("lost", lost, ("inertial", "mask")),
-        ):
+        choices = (("previous", previous, ("fused", "inertial", "truth")), ("lost", lost, ("inertial", "mask")))
+        for kind, value, valid in choices:
             if value not in valid:
                 raise ConfigurationError(unknown(f"{kind} option", value, valid))
         self.recordings = recordings
@@ -98,32 +96,20 @@ class Replay:
         observed = (*quantities, PRIVILEGED) if privileged else quantities
         self.layout = Layout(observed, len(self.cameras), len(self.experts))
 
-        offsets = recordings.offsets
         self._steps = step_rows(recordings)
-        self.starts = np.zeros(len(recordings), SCENE)
-        self.starts["first"] = offsets[:-1] - np.arange(len(recordings))  # row 0 of each scene is no step
-        self.starts["stop"] = offsets[1:] - np.arange(1, len(recordings) + 1)
-        self._start = np.stack([recordings[f"truth.{c}"][offsets[:-1]] for c in ("x_m", "y_m", "yaw_rad")], axis=-1)
+        first = recordings.offsets[:-1]
+        self._start = np.stack([recordings[f"truth.{c}"][first] for c in ("x_m", "y_m", "yaw_rad")], axis=-1)
         self.votes = collect_votes(recordings, self._steps, self.experts, self.cameras, track, self.camera_increments)
         self.mask = lost == "mask"
         self._table = tabulate_steps(recordings, self._steps, self._start, self.votes, self.mask, linear)
         self.rate_limit = float(self.layout.high[0])
         self.fused = previous == "fused"
         previous_rate = self._previous_yaw_rate(previous)
-        self._context = tabulate(
-            self.layout,
-            recordings,
-            self._steps,
-            self.votes,
-            self.experts,
-            self.cameras,
-            self._camera_states(),
-            previous_rate,
-        )
+        seen = self.experts, self.cameras, self._camera_states()
+        self._context = tabulate(self.layout, recordings, self._steps, self.votes, *seen, previous_rate)
         vehicles = [recordings.manifest.vehicles.get(scene.vehicle, VehicleConstants()) for scene in recordings.scenes]
         self._course_offset = np.array([vehicle.course_offset_rad for vehicle in vehicles])
-        self.starts["course_rad"] = self._start[:, 2] + self._course_offset
-        self.starts["previous_yaw_rate"] = previous_rate[self.starts["first"]]
+        self.starts = self._starts_of_scenes(previous_rate)
         self._only_batch: int | None = None
         self._keep_trajectories = keep_trajectories
         self._allocate(0)
@@ -263,6 +249,16 @@ class Replay:
         states = [self.recordings[f"{camera}.state"][self._steps] for camera in self.cameras]
         return np.stack(states, axis=-1) if states else np.zeros((len(self._steps), 0), np.int8)
 
+    def _starts_of_scenes(self, previous_rate: FloatArray) -> NDArray[Any]:
+        """``(scenes,)`` SCENE: the steps of each scene among all, and the car's state at the first one."""
+        offsets, number = self.recordings.offsets, np.arange(len(self.recordings))
+        starts = np.zeros(len(number), SCENE)
+        starts["first"] = offsets[:-1] - number  # row 0 of each scene is no step
+        starts["stop"] = offsets[1:] - number - 1
+        starts["course_rad"] = self._start[:, 2] + self._course_offset
+        starts["previous_yaw_rate"] = previous_rate[starts["first"]]
+        return starts
+
     def _previous_yaw_rate(self, previous: Previous) -> FloatArray:
         """Recorded previous yaw rate ``(rows,)`` [rad/s].
 
@@ -270,7 +266,7 @@ class Replay:
         """
         source = self.table[:, TRUTH if previous == "truth" else SUBSTITUTE] / self.table[:, DT]
         rate = np.concatenate([[0.0], source[:-1]])
-        first = self.starts["first"]
+        first = self.recordings.offsets[:-1] - np.arange(len(self.recordings))
         rate[first] = self.table[first, SUBSTITUTE] / self.table[first, DT]
         return rate
 

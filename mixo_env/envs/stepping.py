@@ -150,14 +150,7 @@ def score(actions: Any, scale: float, exponential: bool, scores: Any) -> bool:
 
 
 @compiled
-def advance(
-    scores: Any,
-    shares: bool,
-    mask: bool,
-    state: Any,
-    table: Any,
-    history: Any,
-) -> None:
+def advance(scores: Any, shares: bool, mask: bool, state: Any, table: Any, history: Any) -> None:
     """One step of every scene that has not ended: mix the increments, integrate yaw and position, add up the errors.
 
     Args:
@@ -168,7 +161,6 @@ def advance(
         table: of steps.
         history: ``(longest scene, batch)``; receives the fused increments. Empty: they are not kept.
     """
-    experts = table.shape[1] - FIRST_EXPERT
     for b in range(state.size):
         s = state[b]
         if s.done or s.pause:
@@ -176,10 +168,9 @@ def advance(
             continue
         row = s.row
         k = table[row]
-
         fused = total = plain = 0.0  # eq. 3
         votes = 0
-        for j in range(experts):
+        for j in range(table.shape[1] - FIRST_EXPERT):
             increment = k[FIRST_EXPERT + j]
             if (s.silent >> j) & 1:
                 increment = np.nan if mask else k[SUBSTITUTE]
@@ -198,25 +189,19 @@ def advance(
         c, n = half_turn(fused)  # eq. 1: the chord points along the yaw in the middle of the step
         east = s.course_cos * c - s.course_sin * n
         north = s.course_sin * c + s.course_cos * n
-        x = s.x_m + k[DISTANCE] * east
-        y = s.y_m + k[DISTANCE] * north
+        x, y = s.x_m + k[DISTANCE] * east, s.y_m + k[DISTANCE] * north
 
-        error = fused - k[TRUTH]
-        yaw_error = yaw - k[TRUE_YAW]
+        # All of the table is read before the state is written: the compiler cannot know that they never overlap.
+        error, yaw_error = fused - k[TRUTH], yaw - k[TRUE_YAW]
         position_error = (x - k[TRUE_X]) ** 2 + (y - k[TRUE_Y]) ** 2
-        rate = fused / k[DT]
-        linear_error = k[LINEAR_ERROR]
+        rate, linear_error = fused / k[DT], k[LINEAR_ERROR]
 
         s.yaw_rad, s.x_m, s.y_m = yaw, x, y
-        s.course_cos = east * c - north * n
-        s.course_sin = north * c + east * n
+        s.course_cos, s.course_sin = east * c - north * n, north * c + east * n
         if history.size:
             history[s.step, b] = fused
-        s.increment_rad = fused
-        s.previous_yaw_rate = rate
-        s.error_rad = error
-        s.linear_error_rad = linear_error
-        s.position_error_m2 = position_error
+        s.increment_rad, s.previous_yaw_rate = fused, rate
+        s.error_rad, s.linear_error_rad, s.position_error_m2 = error, linear_error, position_error
         s.sum_error_rad2 += error * error
         s.sum_yaw_error_rad2 += yaw_error * yaw_error
         s.sum_position_error_m2 += position_error

@@ -204,32 +204,22 @@ def build_index(version_folder: Path) -> ImageIndex:
         is_keyframe.append(row.is_key_frame)
         calibration_key = (row.calibrated_sensor_token, row.width, row.height)
         calibration.append(calibration_index.setdefault(calibration_key, len(calibration_index)))
-        pattern_text = row.filename.replace(str(row.timestamp), "\t", 1)
-        known = pattern_index.get(pattern_text)
-        if known is None:
+        text = row.filename.replace(str(row.timestamp), "\t", 1)
+        if text not in pattern_index:
             check_path(f"{table}, row {row.token!r}", row.filename)
-            known = pattern_index[pattern_text] = len(pattern_index)
-        pattern.append(known)
+            pattern_index[text] = len(pattern_index)
+        pattern.append(pattern_index[text])
         pose_hash.append(hash(row.ego_pose_token))
 
     wanted, slots = np.unique(np.array(pose_hash, dtype=np.int64), return_inverse=True)
-    pose = _read_poses(version_folder, wanted)
-    group_array = np.array(group, dtype=np.int64)
-    time_array = np.array(timestamp_us, dtype=np.int64)
+    group_array, time_array = (np.array(values, dtype=np.int64) for values in (group, timestamp_us))
     order = np.lexsort((time_array, group_array))
-    pose = pose.at(slots[order])
+    pose = _read_poses(version_folder, wanted).at(slots[order])
     return ImageIndex(
         scenes=scenes,
         channels=channels,
         calibrations=tuple(
-            CalibrationRecord(
-                channel=channels[channel_of_calibrated_sensor[token]],
-                translation_m=sensors[token].translation,
-                rotation_wxyz=sensors[token].rotation,
-                intrinsic=sensors[token].camera_intrinsic,
-                width=width,
-                height=height,
-            )
+            _calibration(channels[channel_of_calibrated_sensor[token]], sensors[token], width, height)
             for token, width, height in calibration_index
         ),
         filename_patterns=tuple(pattern_index),
@@ -244,6 +234,17 @@ def build_index(version_folder: Path) -> ImageIndex:
         is_keyframe=np.array(is_keyframe, dtype=np.bool_)[order],
         calibration=np.array(calibration, dtype=np.int32)[order],
         filename_pattern=np.array(pattern, dtype=np.int32)[order],
+    )
+
+
+def _calibration(channel: str, sensor: _CalibratedSensorRow, width: int, height: int) -> CalibrationRecord:
+    return CalibrationRecord(
+        channel=channel,
+        translation_m=sensor.translation,
+        rotation_wxyz=sensor.rotation,
+        intrinsic=sensor.camera_intrinsic,
+        width=width,
+        height=height,
     )
 
 

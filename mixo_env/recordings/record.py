@@ -196,17 +196,10 @@ def record(
                 f"{out} holds scenes that are not in this data set ({strangers[0]}, ...): choose another --out"
             )
         # Scenes recorded earlier stay, whether they are asked for or not, and are recorded anew if they were lost.
-        tasks = {
-            name: (
-                dataset,
-                name,
-                config.cameras,
-                experts or default_experts(config, name),
-                parts[name].inputs if name in parts else None,
-            )
-            for name in dataset.scene_names
-            if name in known
-        }
+        tasks = {}
+        for name in (name for name in dataset.scene_names if name in known):
+            inputs = parts[name].inputs if name in parts else None
+            tasks[name] = (dataset, name, config.cameras, experts or default_experts(config, name), inputs)
         skipped: dict[str, str] = {}
         with closing(each(_record_one, tasks, workers, scheduler)) as results:
             for done, (name, result) in enumerate(results, start=1):
@@ -217,17 +210,16 @@ def record(
         if not ordered:
             first = min(skipped)
             raise DatasetError(f"none of {len(tasks)} scenes could be recorded; the first, {first}: {skipped[first]}")
-        provenance = {
-            "configuration": configuration,
-            "dataset": dataset.version,
-            "skipped": dict(sorted(skipped.items())),
-        }
-        recordings = _assemble(ordered, config, dataset.version, provenance)
-        timings = _joined([part.timings for part in ordered])
-        write_columns(home / TIMINGS_FILE, timings, [len(timings["timestamp_us"])])
-        write_recordings(recordings, home)
+        _write(home, ordered, _assemble(ordered, config, dataset.version, skipped))
         folder.remove()
         return load_recordings(home)
+
+
+def _write(home: Path, parts: list[Part], recordings: Recordings) -> None:
+    """The timings of all parts, and the recording made of them."""
+    timings = _joined([part.timings for part in parts])
+    write_columns(home / TIMINGS_FILE, timings, [len(timings["timestamp_us"])])
+    write_recordings(recordings, home)
 
 
 def _take(name: str, result: Result, parts: dict[str, Part], skipped: dict[str, str], folder: PartFolder) -> None:
@@ -249,7 +241,7 @@ def _take(name: str, result: Result, parts: dict[str, Part], skipped: dict[str, 
             logger.warning("skipped %s: %s", name, result.reason)
 
 
-def _assemble(parts: list[Part], config: RecordConfig, version: str, provenance: dict[str, Any]) -> Recordings:
+def _assemble(parts: list[Part], config: RecordConfig, version: str, skipped: dict[str, str]) -> Recordings:
     """One recording with folds, vehicle constants and fits; value hashes are added when it is saved."""
     scenes = with_folds([part.entry for part in parts], config.folds)
     manifest = Manifest(
@@ -259,8 +251,10 @@ def _assemble(parts: list[Part], config: RecordConfig, version: str, provenance:
         imported=(),
         scenes=scenes,
         parameters=config.parameters()
-        | provenance
         | {
+            "configuration": configuration_hash(config.parameters()),
+            "dataset": version,
+            "skipped": dict(sorted(skipped.items())),
             "folds": config.folds,
             "inputs": {part.entry.name: part.inputs for part in parts},
             "broken_images": {part.entry.name: dict(part.broken_images) for part in parts if part.broken_images},

@@ -22,7 +22,7 @@ from mixo_env.experts.inertial import InertialEstimate
 from mixo_env.nuscenes.images import UNDECODABLE, describe_broken, image_fault, read_jpeg, too_many_broken
 from mixo_env.nuscenes.scene import CameraCalibration, CameraTrack, CanBus, Scene
 from mixo_env.recordings.carry import carry_camera
-from mixo_env.recordings.clock import NONE, firing_rounds
+from mixo_env.recordings.clock import NONE, Rounds, firing_rounds
 from mixo_env.recordings.schema import INERTIAL_EXPERTS, empty_columns
 from mixo_env.recordings.truth import exact_truth, own_window_truth, step_truth
 
@@ -84,13 +84,7 @@ def record_scene(scene: Scene, experts: Experts) -> tuple[Columns, Columns]:
         raise DatasetError("expected at least two firing rounds, got one: a step needs a start")
     closing = rounds.closing_time_us
     columns = empty_columns(len(rounds), rounds.cameras, INERTIAL_EXPERTS, tuple(experts.variants))
-    columns["step"][:] = np.arange(len(rounds))
-    columns["timestamp_us"][:] = closing
-    columns["time_s"][:] = 1e-6 * (closing - closing[0])
-    columns["dt_s"][1:] = 1e-6 * np.diff(closing)
-    truth = step_truth(scene.cameras, rounds) | (exact_truth(scene.exact, rounds) if scene.exact else {})
-    for name, values in truth.items():
-        columns[name][:] = values
+    _record_steps(columns, scene, rounds)
 
     wheels_and_imu = experts.inertial(scene.can_bus, "INERTIAL")
     times = np.unique(rounds.image_time_us[rounds.fired])  # the closing times are among them
@@ -102,9 +96,7 @@ def record_scene(scene: Scene, experts: Experts) -> tuple[Columns, Columns]:
     for grade in INERTIAL_EXPERTS[1:]:
         try:
             _record_grade(columns, grade, experts.inertial(scene.can_bus, grade).at(closing))
-        except (
-            DatasetError
-        ) as error:  # its columns stay NaN: that the scene has no such message is no reason to drop it
+        except DatasetError as error:  # its columns stay NaN: a message the scene lacks is no reason to drop it
             logger.info("%s: %s", scene.name, error)
     for name in ("truth.yaw_increment_rad", "truth.distance_m", "distance_m", "INERTIAL.yaw_increment_rad"):
         if not np.isfinite(columns[name][1:]).all():
@@ -126,6 +118,18 @@ def record_scene(scene: Scene, experts: Experts) -> tuple[Columns, Columns]:
                 _record_images(columns, track, rows, image)
             _record_camera(columns, name, camera, steps, rows)
     return columns, {name: np.concatenate([timing[name] for timing in timings]) for name in TIMING_COLUMNS}
+
+
+def _record_steps(columns: Columns, scene: Scene, rounds: Rounds) -> None:
+    """When each step ends, and where the car truly is then."""
+    closing = rounds.closing_time_us
+    columns["step"][:] = np.arange(len(rounds))
+    columns["timestamp_us"][:] = closing
+    columns["time_s"][:] = 1e-6 * (closing - closing[0])
+    columns["dt_s"][1:] = 1e-6 * np.diff(closing)
+    truth = step_truth(scene.cameras, rounds) | (exact_truth(scene.exact, rounds) if scene.exact else {})
+    for name, values in truth.items():
+        columns[name][:] = values
 
 
 def _record_grade(columns: Columns, grade: str, estimate: InertialEstimate) -> None:
