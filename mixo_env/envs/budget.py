@@ -81,9 +81,15 @@ class BudgetReplay(Replay):
     """
 
     camera_increments: ClassVar[str] = "two_frame_yaw_increment_rad"
+    counts_imported: ClassVar[bool] = False
 
     def __init__(self, recordings: Recordings, *, quantities: tuple[Quantity, ...] = STATELESS, **options: Any) -> None:
         """Build the tables; options as in :class:`~mixo_env.envs.replay.Replay`."""
+        if not recordings.manifest.cameras:
+            raise ConfigurationError(
+                "expected recordings with cameras to switch on and off, these hold imported trajectories alone: "
+                "MixoOdometry-v0 plays them"
+            )
         super().__init__(recordings, quantities=(*quantities, AWAKE), **options)
         if not self.cameras:
             raise ConfigurationError("experts: expected at least one camera to switch, got none")

@@ -12,8 +12,8 @@ from mixo_env.envs.stepping import DISTANCE, DT, LINEAR_ERROR, SUBSTITUTE, TRUE_
 from mixo_env.errors import ConfigurationError, RecordingError, unknown
 from mixo_env.fusion import mix
 from mixo_env.recordings.collection import Recordings
-from mixo_env.recordings.schema import TRACKS
 from mixo_env.recordings.vehicles import travelled_m
+from mixo_env.recordings.votes import substitutes_rad
 
 FloatArray = NDArray[np.float64]
 
@@ -64,13 +64,9 @@ def collect_votes(
 ) -> Votes:
     """Increments of ``experts`` at ``steps``.
 
-    The substitute is the track's own inertial expert; where that has nothing either, INERTIAL; else no rotation.
+    What stands in for those that delivered nothing is :func:`~mixo_env.recordings.votes.substitutes_rad`.
     """
-    substitute = np.zeros(len(steps))
-    for inertial in ("INERTIAL", TRACKS[track]):
-        if inertial in recordings.manifest.inertial:
-            own = recordings[f"{inertial}.yaw_increment_rad"][steps]
-            substitute = np.where(np.isfinite(own), own.astype(np.float64), substitute)
+    substitute = substitutes_rad(recordings, track)[steps]
     names = [f"{e}.{camera_increments if e in cameras else 'yaw_increment_rad'}" for e in experts]
     increments = np.stack([recordings[name][steps] for name in names], axis=-1).astype(np.float64)
     available = np.isfinite(increments)

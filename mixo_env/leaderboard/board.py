@@ -18,7 +18,6 @@ from mixo_env.policies.linear import Linear
 from mixo_env.policies.registry import names as policy_names
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.folds import OUT_OF_DISTRIBUTION
-from mixo_env.recordings.schema import TRACKS
 
 ONE_FOLD = ("PPO",)
 """Policies too slow to train for every fold: they are tested on the last one only, and compared there."""
@@ -70,7 +69,8 @@ class Leaderboard:
         policies: names of the rows that were asked for.
         protocol: recordings, folds and seed.
         courses: the truths the scores refer to, the headline's first.
-        noise_floor: headline error [deg/m] that the truth's own noise makes; 0 for exact truth.
+        noise_floor: headline error [deg/m] that the truth's own noise makes; 0 for exact truth, and where no gyro
+            tells the noise.
         night: the same for the scenes that are in no fold, by policies that learned from all folds; ``None`` without
             such scenes.
     """
@@ -112,7 +112,7 @@ def build(
 
     Args:
         recordings: scenes to score; their folds divide training from test.
-        tracks: to run; empty: all.
+        tracks: to run; empty: all that differ on these recordings.
         policies: names of policies and floors, however they are spelt (case, hyphens); empty: all.
         seed: of every learned policy and of the bootstrap.
         seeds: of every learned policy; its row is the mean of their errors.
@@ -132,8 +132,10 @@ def build(
             recordings, seed=seed, seeds=seeds, ground_truth=ground_truth, out_of_distribution=True
         )
         slow = [name for name in chosen if name not in ONE_FOLD]
-        night = Builder(outside, lambda text: progress(f"night, {text}"), everything).board(tracks or TRACKS, slow)
-    return day.board(tracks or TRACKS, chosen, night)
+        night = Builder(outside, lambda text: progress(f"night, {text}"), everything).board(
+            tracks or recordings.tables, slow
+        )
+    return day.board(tracks or recordings.tables, chosen, night)
 
 
 def requested(recordings: Recordings, tracks: Sequence[str], policies: Sequence[str]) -> tuple[str, ...]:
@@ -143,8 +145,7 @@ def requested(recordings: Recordings, tracks: Sequence[str], policies: Sequence[
         ConfigurationError: for an unknown track or policy.
     """
     for track in tracks:
-        if track not in TRACKS:
-            raise ConfigurationError(unknown("track", track, TRACKS))
+        recordings.voters(track)  # raises
     return choose(policies, (*policy_names(recordings), *FLOORS))
 
 
@@ -183,7 +184,8 @@ class Builder:
         self._courses = {truth: Course(protocol.recordings, truth) for truth in protocol.truths}
         headline = protocol.truths[0]
         self._floor = 0.0
-        if headline != "exact":
+        self._noisy = headline != "exact" and "INERTIAL" in protocol.recordings.manifest.inertial
+        if self._noisy:
             noisy = self._courses[headline].measure(noisy_truth(protocol.recordings))
             samples = noisy.relative.rotation_deg_per_m
             self._floor = float(samples.mean()) if len(samples) else 0.0
@@ -193,7 +195,7 @@ class Builder:
         self, tracks: Sequence[str] | Mapping[str, object], chosen: Sequence[str], night: Leaderboard | None = None
     ) -> Leaderboard:
         """A table for every track."""
-        shown = tuple(name for name in chosen if name != NOISE_FLOOR or self._protocol.truths[0] != "exact")
+        shown = tuple(name for name in chosen if name != NOISE_FLOOR or self._noisy)
         tables = tuple(self._table(track, shown) for track in tracks)
         return Leaderboard(tables, shown, self._protocol, self._courses, self._floor, night)
 

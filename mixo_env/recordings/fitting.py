@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from mixo_env.fusion import least_squares_weights, mix
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.pose_lag import lag_corrected
-from mixo_env.recordings.schema import TRACKS
+from mixo_env.recordings.votes import substitutes_rad
 
 FloatArray = NDArray[np.float64]
 
@@ -27,20 +27,18 @@ MAD_TO_SIGMA = 1.4826
 def substituted_increments(recordings: Recordings, track: str) -> FloatArray:
     """The voters' yaw increments ``(rows, voters)`` [rad] with ``lost="inertial"``.
 
-    A missing increment is replaced by the track's inertial expert; INERTIAL stands in where the track has none or where
-    that one is missing as well. Row 0 of each scene stays NaN.
+    A missing increment is replaced by its substitute (:func:`~mixo_env.recordings.votes.substitutes_rad`). Row 0 of
+    each scene stays NaN.
     """
-    substitute = recordings["INERTIAL.yaw_increment_rad"].astype(np.float64)
-    inertial = TRACKS[track]
-    if inertial is not None:
-        own = recordings[f"{inertial}.yaw_increment_rad"]
-        substitute = np.where(np.isfinite(own), own, substitute)
+    substitute = substitutes_rad(recordings, track)
     votes = [recordings[f"{expert}.yaw_increment_rad"] for expert in recordings.voters(track)]
-    return np.stack([np.where(np.isfinite(vote), vote, substitute) for vote in votes], axis=-1)
+    increments = np.stack([np.where(np.isfinite(vote), vote, substitute) for vote in votes], axis=-1)
+    increments[recordings.offsets[:-1]] = np.nan
+    return increments
 
 
 def with_fits(recordings: Recordings) -> Recordings:
-    """The recordings with ``linear_weights`` and ``reward_scale_rad`` filled in for every track.
+    """The recordings with ``linear_weights`` and ``reward_scale_rad`` filled in for every track that can be played.
 
     LINEAR is fitted once on all folds and once per fold held out; night scenes (fold -1) never take part. The reward
     scale is 1.4826 x the median absolute deviation of LINEAR's yaw-increment error, each scene predicted by the
@@ -51,7 +49,7 @@ def with_fits(recordings: Recordings) -> Recordings:
     truth = lag_corrected(recordings)["truth.yaw_increment_rad"]
     weights: dict[str, dict[str, dict[str, float]]] = {}
     scales: dict[str, float] = {}
-    for track in TRACKS:
+    for track in recordings.tracks:
         votes = substituted_increments(recordings, track)
         usable = (folds >= 0) & np.isfinite(truth) & np.isfinite(votes).all(axis=-1)
         present = np.unique(folds[usable])
