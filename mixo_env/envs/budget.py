@@ -134,9 +134,9 @@ class BudgetReplay(Replay):
         super()._allocate(batch)
         self.awake = np.ones((batch, len(self.cameras)), np.bool_)
 
-    def _camera_states(self) -> NDArray[np.int8]:
+    def _counting_states(self) -> NDArray[np.int8]:
         """TRACKING where two images alone give an increment: there is no memory and so no other way to track."""
-        recorded = super()._camera_states()
+        recorded = super()._counting_states()
         found = self.votes.available[:, [self.experts.index(camera) for camera in self.cameras]]
         unseen = recorded == State.NO_IMAGE
         return np.where(found, State.TRACKING, np.where(unseen, State.NO_IMAGE, State.LOST)).astype(np.int8)

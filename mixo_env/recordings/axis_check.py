@@ -1,7 +1,7 @@
 """Wrong body axes are noticed: yaw that contradicts the truth by sign or scale, turn after turn.
 
 The truth is used for nothing but this check. Where the car hardly turns nothing can be told, and an expert that is
-merely bad passes: its ratios to the truth scatter.
+merely bad passes: its ratios to the truth scatter, or it does not turn in any axes.
 """
 
 from __future__ import annotations
@@ -121,7 +121,10 @@ def _check_expert(
     found = ratio(own, true, dt_s)
     if not found.contradicts:
         return
+    stuck = abs(found.median) < STEADY
     likely = [axes for axes in BODY_AXES if axes != turns.axes and ratio(turns.increments(axes), true, dt_s).fits]
+    if stuck and not likely:
+        return  # it hardly turns in any axes: broken, not misread
     cure = (
         f"--axes {name}={likely[0]} fits"
         + (" (or its poses take the world to the body: invert them)" if found.median < 0.0 else "")

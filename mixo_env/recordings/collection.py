@@ -95,7 +95,8 @@ class Recordings:
         if track not in self.tracks:
             needed = TRACKS[track] or "a camera or an imported expert"
             raise ConfigurationError(
-                f"track {track} needs {needed}, which these recordings lack: choose {', '.join(self.tracks) or 'others'}"
+                f"track {track} needs {needed}, which these recordings lack: "
+                f"choose {', '.join(self.tracks) or 'others'}"
             )
         voter = TRACKS[track]
         inertial = (voter,) if voter in self.manifest.inertial else ()

@@ -85,23 +85,23 @@ def read_sources(name: str, folder: Path, names: tuple[str, ...], reading: Readi
     for sequence, path in sequence_files(folder, names).items():
         trajectory = TrajectoryFiles(quaternions=reading.quaternions).read(path)
         if trajectory.timestamps_s is None or trajectory.counted:
-            stamps = _stamps(sequence, path, trajectory, reading)
-            trajectory = replace(trajectory, timestamps_s=stamps, counted=False)
+            stamps, known = _stamps(sequence, path, trajectory, reading)
+            trajectory = replace(trajectory, timestamps_s=stamps, counted=trajectory.counted and not known)
         beside = quality_file(path)
         quality = read_quality(beside, len(trajectory)) if beside.is_file() else None
         sources[sequence] = Source(path, trajectory, resolved(trajectory, reading.axes_of(name)), quality)
     return sources
 
 
-def _stamps(sequence: str, path: Path, trajectory: Trajectory, reading: Reading) -> FloatArray | None:
-    """Times of poses that have none, or frame numbers at most."""
+def _stamps(sequence: str, path: Path, trajectory: Trajectory, reading: Reading) -> tuple[FloatArray | None, bool]:
+    """Times of poses that have none, or frame numbers at most; whether they were found."""
     frames = trajectory.timestamps_s
     index = np.arange(len(trajectory)) if frames is None else frames.astype(np.int64)
     if reading.rate_hz is not None:
-        return index / reading.rate_hz
+        return index / reading.rate_hz, True
     times = _times_file(sequence, path, reading.times)
     if times is None:
-        return frames  # whole seconds, or nothing
+        return frames, False  # whole seconds, or nothing
     table = read_numbers(times)
     stamps = table.values[:, 0]
     if table.values.shape[1] != 1:
@@ -113,7 +113,7 @@ def _stamps(sequence: str, path: Path, trajectory: Trajectory, reading: Reading)
     back = np.flatnonzero(np.diff(stamps) <= 0.0)
     if len(back):
         raise table.error(int(back[0]) + 1, "expected increasing times")
-    return stamps[index]
+    return stamps[index], True
 
 
 def _times_file(sequence: str, path: Path, times: Path | None) -> Path | None:

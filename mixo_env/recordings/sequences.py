@@ -163,21 +163,41 @@ def _matched(
     for sequence in (s for s in truths if s not in own):
         note(f"{name}: no file for {sequence}, lost there all the way")
     for sequence, source in matched.items():
-        poses, frames = len(source.trajectory), len(truths[sequence].trajectory)
-        if source.trajectory.timestamps_s is None and truths[sequence].trajectory.timestamps_s is not None:
-            if poses != frames:
-                raise TrajectoryError(
-                    f"{source.path}: {poses} poses without times for {frames} true ones: give their times "
-                    f"({source.path.stem}.times beside the file), or number the frames in a first column"
-                )
-            stamps = truths[sequence].trajectory.timestamps_s
-            matched[sequence] = replace(source, trajectory=replace(source.trajectory, timestamps_s=stamps))
-        elif (
-            poses != frames
-            and not np.isin(source.trajectory.timestamps_s, truths[sequence].trajectory.timestamps_s).all()
-        ):
+        truth = truths[sequence]
+        matched[sequence] = _timed(source, truth)
+        poses, frames = len(source.trajectory), len(truth.trajectory)
+        if poses != frames and _same_times(matched[sequence], truth):
+            note(f"{name}, {sequence}: {poses} poses for {frames} true ones, lost where it has none")
+        elif poses != frames:
             note(f"{name}, {sequence}: {poses} poses at other times than the {frames} true ones, interpolated")
     return matched
+
+
+def _timed(source: Source, truth: Source) -> Source:
+    """A source without times of its own has those of the truth, pose by pose or by the frames it numbers.
+
+    Raises:
+        TrajectoryError: where there are not as many.
+    """
+    times_s, frames = truth.trajectory.timestamps_s, source.trajectory.timestamps_s
+    numbered = source.trajectory.counted and not truth.trajectory.counted
+    if times_s is None or not (frames is None or numbered):
+        return source
+    index = np.arange(len(source.trajectory)) if frames is None else frames.astype(np.int64)
+    if index[-1] >= len(times_s) or (frames is None and len(index) != len(times_s)):
+        raise TrajectoryError(
+            f"{source.path}: {len(index)} poses without times for {len(times_s)} true ones: give their times "
+            f"({source.path.stem}.times beside the file), or number the frames from 0 in a first column"
+        )
+    return replace(source, trajectory=replace(source.trajectory, timestamps_s=times_s[index], counted=False))
+
+
+def _same_times(one: Source, other: Source) -> bool:
+    """Whether every pose of one has a pose of the other at its time."""
+    own_s, others_s = one.trajectory.timestamps_s, other.trajectory.timestamps_s
+    if own_s is None or others_s is None:
+        return False
+    return bool(np.isin(np.rint(1e6 * own_s), np.rint(1e6 * others_s)).all())
 
 
 def _entries(truths: Mapping[str, Source], rules: SequenceRules) -> tuple[SceneEntry, ...]:
@@ -207,7 +227,7 @@ def _check_axes(
     rules: SequenceRules,
 ) -> None:
     order = sorted(truths)
-    dt_s = [np.diff(1e-6 * stamps[name], prepend=1e-6 * stamps[name][0]) for name in order]
+    dt_s = [1e-6 * np.diff(stamps[name], prepend=stamps[name][0]) for name in order]
     check_axes(
         turns_of(truths, stamps, order, rules.maximum_gap_s),
         {name: turns_of(own, stamps, order, rules.maximum_gap_s) for name, own in sources.items()},
