@@ -30,8 +30,9 @@ class Benchmark:
     recordings: Path | None = None
     """Folder written by `mixo record`, or the name of a bundled recording. None: the bundled mixocity."""
 
-    tracks: tuple[str, ...] = ("PAPER", "VISION", "CONSUMER")
-    """Who votes besides the cameras; every track has a table of its own."""
+    tracks: tuple[str, ...] = ()
+    """Who votes besides the cameras (PAPER, VISION, CONSUMER); every track has a table of its own. Empty: all; of
+    imported trajectories alone all are the same, and VISION stands for them."""
 
     policies: tuple[str, ...] = ()
     """Rows to run; case, hyphens and underscores do not matter. Empty: all."""
@@ -71,7 +72,9 @@ class Benchmark:
         for by in self.by:
             check_grouping(recordings, by)
         folder = run_folder("benchmark", self.out)
-        tables = len(self.tracks) * len({scene.fold < 0 for scene in recordings.scenes})  # the night has its own
+        tables = len(self.tracks or recordings.tables) * len(
+            {scene.fold < 0 for scene in recordings.scenes}
+        )  # the night has its own
         begun = itertools.count()
         with progress("computing rows") as report:
             board = build(

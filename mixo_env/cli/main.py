@@ -30,6 +30,7 @@ def commands() -> dict[str, type]:
     """Subcommand name -> dataclass. Importing them must stay cheap: `mixo --help` is instant."""
     from mixo_env.cli.benchmark import Benchmark
     from mixo_env.cli.evaluate import Evaluate
+    from mixo_env.cli.export import Export
     from mixo_env.cli.import_ import Import
     from mixo_env.cli.inspect import Inspect
     from mixo_env.cli.record import Record
@@ -44,6 +45,7 @@ def commands() -> dict[str, type]:
         "inspect": Inspect,
         "record": Record,
         "import": Import,
+        "export": Export,
         "evaluate": Evaluate,
         "train-vocabulary": TrainVocabulary,
     }

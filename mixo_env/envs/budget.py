@@ -81,9 +81,15 @@ class BudgetReplay(Replay):
     """
 
     camera_increments: ClassVar[str] = "two_frame_yaw_increment_rad"
+    counts_imported: ClassVar[bool] = False
 
     def __init__(self, recordings: Recordings, *, quantities: tuple[Quantity, ...] = STATELESS, **options: Any) -> None:
         """Build the tables; options as in :class:`~mixo_env.envs.replay.Replay`."""
+        if not recordings.manifest.cameras:
+            raise ConfigurationError(
+                "expected recordings with cameras to switch on and off, these hold imported trajectories alone: "
+                "MixoOdometry-v0 plays them"
+            )
         super().__init__(recordings, quantities=(*quantities, AWAKE), **options)
         if not self.cameras:
             raise ConfigurationError("experts: expected at least one camera to switch, got none")
@@ -128,9 +134,9 @@ class BudgetReplay(Replay):
         super()._allocate(batch)
         self.awake = np.ones((batch, len(self.cameras)), np.bool_)
 
-    def _camera_states(self) -> NDArray[np.int8]:
+    def _counting_states(self) -> NDArray[np.int8]:
         """TRACKING where two images alone give an increment: there is no memory and so no other way to track."""
-        recorded = super()._camera_states()
+        recorded = super()._counting_states()
         found = self.votes.available[:, [self.experts.index(camera) for camera in self.cameras]]
         unseen = recorded == State.NO_IMAGE
         return np.where(found, State.TRACKING, np.where(unseen, State.NO_IMAGE, State.LOST)).astype(np.int8)

@@ -123,7 +123,7 @@ def tabulate(
         steps: ``(rows,)`` rows of the recordings that are steps.
         votes: of those rows.
         experts: the voters, in the order of the weights.
-        cameras: those of them that are cameras.
+        cameras: those of them whose matches and states are observed.
         state: ``(rows, cameras)`` their State; what a camera says about its matches counts only while TRACKING.
         previous_yaw_rate: ``(rows,)`` [rad/s].
 

@@ -48,6 +48,7 @@ class Replay:
         recordings: what is replayed; scene indices refer to it.
         experts: the voters, in the order of the weights.
         cameras: those of them that are cameras.
+        counting: those of them whose match counts and states are observed.
         layout: of the flat observation.
         state: ``(batch,)`` STATE after :meth:`reset`; read only.
         compiled: the arrays that compiled code reads and writes: state, table, history, context.
@@ -55,6 +56,8 @@ class Replay:
 
     camera_increments: ClassVar[str] = "yaw_increment_rad"
     """The camera column that votes."""
+    counts_imported: ClassVar[bool] = True
+    """Whether match counts of imported experts are observed beside those of cameras."""
 
     def __init__(
         self,
@@ -93,8 +96,10 @@ class Replay:
         self.recordings = recordings
         self.experts = choose_experts(recordings, track, experts)
         self.cameras = tuple(expert for expert in self.experts if expert in recordings.manifest.cameras)
+        counting = recordings.counting if self.counts_imported else recordings.manifest.cameras
+        self.counting = tuple(expert for expert in self.experts if expert in counting)
         observed = (*quantities, PRIVILEGED) if privileged else quantities
-        self.layout = Layout(observed, len(self.cameras), len(self.experts))
+        self.layout = Layout(observed, len(self.counting), len(self.experts))
 
         self._steps = step_rows(recordings)
         first = recordings.offsets[:-1]
@@ -105,7 +110,7 @@ class Replay:
         self.rate_limit = float(self.layout.high[0])
         self.fused = previous == "fused"
         previous_rate = self._previous_yaw_rate(previous)
-        seen = self.experts, self.cameras, self._camera_states()
+        seen = self.experts, self.counting, self._counting_states()
         self._context = tabulate(self.layout, recordings, self._steps, self.votes, *seen, previous_rate)
         vehicles = [recordings.manifest.vehicles.get(scene.vehicle, VehicleConstants()) for scene in recordings.scenes]
         self._course_offset = np.array([vehicle.course_offset_rad for vehicle in vehicles])
@@ -244,9 +249,9 @@ class Replay:
         self.history = np.zeros((int(self.steps.max()) if self._keep_trajectories else 0, batch))
         self.compiled = self.state, self._table, self.history, self._context
 
-    def _camera_states(self) -> NDArray[np.int8]:
-        """State ``(rows, cameras)`` of every camera at every step."""
-        states = [self.recordings[f"{camera}.state"][self._steps] for camera in self.cameras]
+    def _counting_states(self) -> NDArray[np.int8]:
+        """State ``(rows, counting)`` at every step."""
+        states = [self.recordings[f"{expert}.state"][self._steps] for expert in self.counting]
         return np.stack(states, axis=-1) if states else np.zeros((len(self._steps), 0), np.int8)
 
     def _starts_of_scenes(self, previous_rate: FloatArray) -> NDArray[Any]:

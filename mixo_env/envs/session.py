@@ -192,7 +192,7 @@ class Session:
                 raise ConfigurationError(unknown(f"expert of track {settings.track}", expert, voters))
         linear = fit_linear(self._build_replay(training)) if settings.reward == "improvement" else None
         replay = self._build_replay(recordings, linear)
-        if len(replay.experts) < 2:
+        if len(replay.experts) < 2 and settings.experts is not None:
             raise ConfigurationError(f"experts: expected two or more, got {replay.experts}: nothing to mix")
         if not np.isfinite(replay.table[:, TRUTH]).all():
             raise RecordingError("these recordings lack ground truth in some steps: an environment needs it to reward")

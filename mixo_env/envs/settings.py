@@ -47,10 +47,6 @@ class Settings:
 
     def __post_init__(self) -> None:
         check_fields(self)
-        if self.fold not in SPLITS["all"]:
-            raise ConfigurationError(
-                f"fold: expected one of {SPLITS['all']}, got {self.fold!r}: it is the one held out"
-            )
         if self.raw_scale <= 0:
             raise ConfigurationError(f"raw_scale: expected a positive number, got {self.raw_scale!r}: e.g. 4.0")
         if self.observation == "pixels" and self.dataroot is None:
@@ -89,6 +85,9 @@ class Settings:
         """
         recordings = self.all_recordings()
         present = sorted({scene.fold for scene in recordings.scenes})
+        valid = sorted({*SPLITS["all"], *(fold for fold in present if fold >= 0)})
+        if self.fold not in valid:
+            raise ConfigurationError(f"fold: expected one of {tuple(valid)}, got {self.fold!r}: it is the one held out")
         others = [fold for fold in present if fold >= 0 and fold != self.fold]
         folds = {"train": others, "test": [self.fold], "all": [f for f in present if f >= 0], "ood": [-1]}[self.split]
         if self.fold not in SPLITS["test"]:

@@ -1,13 +1,18 @@
-"""Trajectories of other programs as experts: yaw increments over the steps, and nothing that the file does not hold."""
+"""Trajectories of other programs as experts: yaw increments over the steps, and nothing that the files do not hold."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mixo_env.errors import TrajectoryError
+from mixo_env.experts.expert import State
 from mixo_env.geometry import conjugate_quaternion_wxyz, multiply_quaternions_wxyz, yaw_from_quaternion_wxyz
 from mixo_env.trajectory import Trajectory
+from mixo_env.trajectory.axes import in_vehicle_axes
 
 FloatArray = NDArray[np.float64]
 
@@ -15,7 +20,29 @@ MAXIMUM_GAP_S = 0.6
 """Poses further apart are not interpolated: two key frames (0.5 s) are bridged, a stretch of lost tracking is not."""
 
 
-def imported_increments(trajectory: Trajectory, timestamps_us: NDArray[np.int64]) -> FloatArray:
+@dataclass(frozen=True)
+class Quality:
+    """What a program says about its poses, ``(poses,)`` each; NaN where it says nothing.
+
+    Attributes:
+        matches: features matched.
+        confidence: in whatever sense.
+        yaw_std_rad: standard deviation of the turn since the pose before.
+        lost: bool, the pose is no estimate.
+    """
+
+    matches: FloatArray
+    confidence: FloatArray
+    yaw_std_rad: FloatArray
+    lost: NDArray[np.bool_]
+
+
+def imported_increments(
+    trajectory: Trajectory,
+    timestamps_us: NDArray[np.int64],
+    maximum_gap_s: float = MAXIMUM_GAP_S,
+    lost: NDArray[np.bool_] | None = None,
+) -> FloatArray:
     """Yaw increments of a trajectory over the steps of a scene.
 
     Yaw is summed up from the turns between neighbouring poses, each about the vehicle's own up axis: the frame of the
@@ -24,37 +51,96 @@ def imported_increments(trajectory: Trajectory, timestamps_us: NDArray[np.int64]
     when is not known.
 
     Args:
-        trajectory: with times in Unix seconds.
+        trajectory: with times in seconds.
         timestamps_us: ``(rows,)`` closing times t_k.
+        maximum_gap_s: poses further apart are not interpolated.
+        lost: ``(poses,)`` those that are no estimates; as if they were not there.
 
     Returns:
-        ``(rows,)`` rad; NaN in row 0, before the first and after the last pose, and across gaps over
-        ``MAXIMUM_GAP_S``.
+        ``(rows,)`` rad; NaN in row 0, before the first and after the last pose, and across gaps.
 
     Raises:
         TrajectoryError: if the trajectory has no times, or none within the scene.
     """
     if trajectory.timestamps_s is None:
         raise TrajectoryError("expected a time for each pose, got none: write TUM, or KITTI with a file of times")
-    # Whole microseconds like the recording's own times, then relative to t_0: 1.5e9 s leaves no digits to interpolate.
-    known = np.rint(1e6 * trajectory.timestamps_s).astype(np.int64) - timestamps_us[0]
-    at = timestamps_us - timestamps_us[0]
+    if lost is not None and lost.any():
+        trajectory = trajectory[~lost]
+        if len(trajectory) < 2:
+            return np.full(len(timestamps_us), np.nan)
+    known, at = _clock(trajectory, timestamps_us)
     if known[-1] < at[0] or known[0] > at[-1]:
+        first_s, last_s = _times_s(trajectory)[[0, -1]]
         raise TrajectoryError(
             f"expected Unix seconds between {1e-6 * timestamps_us[0]:.3f} and {1e-6 * timestamps_us[-1]:.3f}, "
-            f"got {trajectory.timestamps_s[0]:.3f} to {trajectory.timestamps_s[-1]:.3f}: no pose lies in the scene"
+            f"got {first_s:.3f} to {last_s:.3f}: no pose lies in the scene"
         )
-    yaw = np.interp(at, known, _yaw_rad(trajectory), left=np.nan, right=np.nan)
+    yaw = np.interp(at, known, local_yaw_rad(trajectory), left=np.nan, right=np.nan)
     before = np.clip(np.searchsorted(known, at, side="right") - 1, 0, len(known) - 1)
     after = np.clip(np.searchsorted(known, at, side="left"), 0, len(known) - 1)
-    yaw[known[after] - known[before] > 1e6 * MAXIMUM_GAP_S] = np.nan
+    yaw[known[after] - known[before] > 1e6 * maximum_gap_s] = np.nan
     return np.concatenate([[np.nan], np.diff(yaw)])
 
 
-def _yaw_rad(trajectory: Trajectory) -> FloatArray:
+def imported_columns(
+    trajectory: Trajectory,
+    timestamps_us: NDArray[np.int64],
+    quality: Quality | None = None,
+    maximum_gap_s: float = MAXIMUM_GAP_S,
+) -> dict[str, NDArray[Any]]:
+    """All columns of an imported expert over one scene, without its name.
+
+    A step is LOST where its increment is missing, the first row where no pose is near. Counts and confidence of a step
+    are those of the last pose until it closes; variances add up over the poses in it.
+
+    Raises:
+        TrajectoryError: as :func:`imported_increments`.
+    """
+    lost = None if quality is None else quality.lost
+    increments = imported_increments(trajectory, timestamps_us, maximum_gap_s, lost)
+    columns = lost_columns(len(timestamps_us))
+    tracking = np.isfinite(increments)
+    known, at = _clock(trajectory, timestamps_us)
+    good = np.ones(len(known), np.bool_) if lost is None else ~lost
+    tracking[0] = bool(np.any(good & (np.abs(known - at[0]) <= 1e6 * maximum_gap_s)))
+    columns["state"][tracking] = State.TRACKING
+    columns["yaw_increment_rad"] = increments.astype(np.float32)
+    if quality is None:
+        return columns
+    last = np.clip(np.searchsorted(known, at, side="right") - 1, 0, None)
+    for name in ("matches", "confidence"):
+        columns[name] = np.where(tracking, getattr(quality, name)[last], np.nan).astype(np.float32)
+    variance = np.interp(at, known, np.cumsum(np.nan_to_num(quality.yaw_std_rad) ** 2))
+    std = np.sqrt(np.maximum(np.diff(variance, prepend=np.nan), 0.0))
+    columns["yaw_std_rad"] = np.where(np.isfinite(increments) & (std > 0.0), std, np.nan).astype(np.float32)
+    return columns
+
+
+def lost_columns(rows: int) -> dict[str, NDArray[Any]]:
+    """Columns of an expert that says nothing in a scene."""
+    nothing = {name: np.full(rows, np.nan, np.float32) for name in _MEASURED}
+    return {"state": np.full(rows, State.LOST, np.int8), **nothing}
+
+
+_MEASURED = ("yaw_increment_rad", "yaw_std_rad", "matches", "confidence")
+
+
+def local_yaw_rad(trajectory: Trajectory) -> FloatArray:
     """Sum ``(N,)`` of the local turns: yaw of R_i^T R_j for neighbouring poses, free of the file's own frame."""
-    q = trajectory.quaternions_wxyz
+    q = in_vehicle_axes(trajectory).quaternions_wxyz
     turn = multiply_quaternions_wxyz(conjugate_quaternion_wxyz(q[:-1]), q[1:])
-    if trajectory.camera_axes:  # forward z, left -x, up -y
-        turn = turn[:, [0, 3, 1, 2]] * np.array([1.0, 1.0, -1.0, -1.0])
     return np.concatenate([[0.0], np.cumsum(yaw_from_quaternion_wxyz(turn))])
+
+
+def _times_s(trajectory: Trajectory) -> FloatArray:
+    assert trajectory.timestamps_s is not None
+    return trajectory.timestamps_s
+
+
+def _clock(trajectory: Trajectory, timestamps_us: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Times of the poses and of the steps [us] since t_0.
+
+    Whole microseconds like the recording's own times, then relative to t_0: 1.5e9 s leaves no digits to interpolate.
+    """
+    known = np.rint(1e6 * _times_s(trajectory)).astype(np.int64) - timestamps_us[0]
+    return known, timestamps_us - timestamps_us[0]

@@ -19,7 +19,6 @@ from mixo_env.policies.policy import Policy
 from mixo_env.policies.registry import names as policy_names
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.folds import OUT_OF_DISTRIBUTION
-from mixo_env.recordings.schema import TRACKS
 
 RANKING_LOGS = 10
 """Drives needed before an order of rows means anything; fewer only show that everything works."""
@@ -68,7 +67,8 @@ class Leaderboard:
         policies: names of the rows that were asked for.
         protocol: recordings, folds and seed.
         courses: the truths the scores refer to, the headline's first.
-        noise_floor: headline error [deg/m] that the truth's own noise makes; 0 for exact truth.
+        noise_floor: headline error [deg/m] that the truth's own noise makes; 0 for exact truth, and where no gyro
+            tells the noise.
         night: the same for the scenes that are in no fold, by policies that learned from all folds; ``None`` without
             such scenes.
     """
@@ -113,7 +113,7 @@ def build(
 
     Args:
         recordings: scenes to score; their folds divide training from test.
-        tracks: to run; empty: all.
+        tracks: to run; empty: all that differ on these recordings.
         policies: names of policies and floors, however they are spelt (case, hyphens); empty: all.
         seed: of every learned policy and of the bootstrap.
         seeds: of every learned policy; its row is the mean of their errors.
@@ -138,8 +138,10 @@ def build(
             recordings, seed=seed, seeds=seeds, ground_truth=ground_truth, out_of_distribution=True, outside=outside
         )
         quick = [name for name in chosen if not protocol.expensive(name)]
-        dark = Builder(nights, lambda text: progress(f"night, {text}"), everything).board(tracks or TRACKS, quick)
-    return day.board(tracks or TRACKS, chosen, dark)
+        dark = Builder(nights, lambda text: progress(f"night, {text}"), everything).board(
+            tracks or recordings.tables, quick
+        )
+    return day.board(tracks or recordings.tables, chosen, dark)
 
 
 def requested(
@@ -151,8 +153,7 @@ def requested(
         ConfigurationError: for an unknown track or policy.
     """
     for track in tracks:
-        if track not in TRACKS:
-            raise ConfigurationError(unknown("track", track, TRACKS))
+        recordings.voters(track)  # raises
     return choose(policies, (*policy_names(recordings), *outside, *FLOORS))
 
 
@@ -191,7 +192,8 @@ class Builder:
         self._courses = {truth: Course(protocol.recordings, truth) for truth in protocol.truths}
         headline = protocol.truths[0]
         self._floor = 0.0
-        if headline != "exact":
+        self._noisy = headline != "exact" and "INERTIAL" in protocol.recordings.manifest.inertial
+        if self._noisy:
             noisy = self._courses[headline].measure(noisy_truth(protocol.recordings))
             samples = noisy.relative.rotation_deg_per_m
             self._floor = float(samples.mean()) if len(samples) else 0.0
@@ -201,7 +203,7 @@ class Builder:
         self, tracks: Sequence[str] | Mapping[str, object], chosen: Sequence[str], night: Leaderboard | None = None
     ) -> Leaderboard:
         """A table for every track."""
-        shown = tuple(name for name in chosen if name != NOISE_FLOOR or self._protocol.truths[0] != "exact")
+        shown = tuple(name for name in chosen if name != NOISE_FLOOR or self._noisy)
         tables = tuple(self._table(track, shown) for track in tracks)
         return Leaderboard(tables, shown, self._protocol, self._courses, self._floor, night)
 

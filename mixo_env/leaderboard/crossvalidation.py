@@ -182,6 +182,11 @@ class CrossValidation:
 
     def _run_learned(self, name: str, track: str, folds: Sequence[int] | None, privileged: bool) -> Run:
         """Freshly fitted policies per fold, each tested on the scenes it has not seen."""
+        if self.foreign and self._bundled().voters(track) != self.recordings.voters(track):
+            raise PolicyError(
+                f"{name} learns, and needs drives that are not tested: these recordings have fewer than two folds, and "
+                "no bundled recording has their experts"
+            )
         entries = self.recordings.scenes
         whole = self.foreign or self._outside
         tested_folds = (UNFOLDED,) if whole else self.tested_folds if folds is None else tuple(folds)

@@ -206,19 +206,21 @@ class Course:
 def lost_tracks(recordings: Recordings, name: str, *, instantly: bool = False) -> LostTracks | None:
     """Lost tracks behind a row of the leaderboard.
 
-    A camera's own for its row, ``None`` for inertial and imported experts and for floors, which have no track to lose;
-    for everything else the times when no camera was tracking (``None`` without cameras).
+    A camera's or imported expert's own for its row, ``None`` for inertial experts and floors, which have no track to
+    lose; for everything else the times when no camera was tracking (no imported expert, where there are no cameras).
 
     Args:
         recordings: all scenes.
         name: of the row.
         instantly: as if every camera tracked again with its first good pair of images.
     """
-    cameras = recordings.manifest.cameras
-    if name in FLOORS or (name in recordings.experts and name not in cameras):
+    manifest = recordings.manifest
+    imported = manifest.imported
+    if name in FLOORS or name in manifest.inertial or (instantly and (name in imported or not manifest.cameras)):
         return None
+    cameras = manifest.cameras or imported
     tracking = instantly_tracking if instantly else _tracking
-    if name in cameras:
+    if name in manifest.cameras or name in imported:
         state = recordings[f"{name}.state"]
         return count_lost_tracks(
             tracking(recordings, name),

@@ -17,15 +17,18 @@ from mixo_env.leaderboard.firing_order import firing_order
 from mixo_env.leaderboard.rows import Row
 from mixo_env.leaderboard.sentences import conventions, lost_mean_std
 from mixo_env.metrics.relative import RelativeSamples
+from mixo_env.recordings.schema import TRUE_DISTANCE
 from mixo_env.tables import csv_cell
 
 
 def to_json(board: Leaderboard) -> dict[str, Any]:
     """Every number of the tables, full precision."""
     recordings, protocol = board.recordings, board.protocol
+    manifest = recordings.manifest
     order = firing_order(recordings, board.headline)
     return {
-        "data_version": recordings.manifest.data_version,
+        "data_version": manifest.data_version,
+        "distance": {"from": manifest.distance, "privileged": manifest.distance == TRUE_DISTANCE},
         "scenes": [scene.name for scene in recordings.scenes],
         "logs": board.logs,
         "folds": list(protocol.folds),

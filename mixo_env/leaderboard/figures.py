@@ -53,7 +53,8 @@ def draw_trajectories(board: Leaderboard, path: Path) -> None:
     table = next((table for table in board.tables if table.track == PREFERRED_TRACK), board.tables[0])
     rows = shown_rows(board, table)
     scenes = _most_winding_of_different_logs(board, rows)
-    cameras = [camera for camera in board.recordings.manifest.cameras if f"{camera}.state" in board.recordings]
+    manifest = board.recordings.manifest
+    cameras = [camera for camera in manifest.cameras or manifest.imported if f"{camera}.state" in board.recordings]
     figure = Figure(figsize=(4.2 * len(scenes), 8.6), layout="constrained")
     FigureCanvasAgg(figure)
     lanes = 0.35 + 0.22 * len(cameras)

@@ -12,7 +12,17 @@ from mixo_env.leaderboard.board import Leaderboard, Table
 from mixo_env.leaderboard.comparisons import REFERENCES, Comparisons
 from mixo_env.leaderboard.conditions import Grouping
 from mixo_env.leaderboard.rows import Row
-from mixo_env.leaderboard.sentences import LEGEND, conventions, count_of, mean_std_text, notes, p_text, percent, title
+from mixo_env.leaderboard.sentences import (
+    LEGEND,
+    conventions,
+    count_of,
+    distance_words,
+    mean_std_text,
+    notes,
+    p_text,
+    percent,
+    title,
+)
 from mixo_env.metrics.bootstrap import Interval
 from mixo_env.tables import Column
 from mixo_env.tables import Table as TextTable
@@ -93,18 +103,19 @@ def cells(row: Row, comparisons: Comparisons) -> dict[str, str]:
 
 def parts(board: Leaderboard, table: Table, by: Sequence[Grouping]) -> list[tuple[str, Sequence[Row], Comparisons]]:
     """Caption, rows and comparisons of every table of one track that has rows."""
-    found = [(title(table), table.rows, table.comparisons)]
-    one_fold = f"{table.track}, learned policies on fold {table.one_fold} alone"
+    found = [(title(table, board.recordings.manifest), table.rows, table.comparisons)]
+    distance = distance_words(board.recordings.manifest)
+    one_fold = f"{table.track}, learned policies on fold {table.one_fold} alone{distance}"
     found.append((one_fold, table.one_fold_rows, table.one_fold_comparisons))
     for group in table.groups:
         if group.by in by:
             scenes = count_of(int(group.rows[0].run.tested.sum()), "scene")
             name = group.name.replace("_", " ")
-            found.append((f"{table.track}, {group.by} {name}: {scenes}", group.rows, group.comparisons))
+            found.append((f"{table.track}, {group.by} {name}: {scenes}{distance}", group.rows, group.comparisons))
     if board.night and "condition" in by:
         night = next(other for other in board.night.tables if other.track == table.track)
         size = f"{count_of(len(board.night.recordings), 'scene')} of {count_of(board.night.logs, 'log')}"
-        found.append((f"{table.track}, night (out of distribution): {size}", night.rows, night.comparisons))
+        found.append((f"{table.track}, night (out of distribution): {size}{distance}", night.rows, night.comparisons))
     return [part for part in found if part[1]]
 
 

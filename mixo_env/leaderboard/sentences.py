@@ -6,12 +6,12 @@ import numpy as np
 
 from mixo_env.leaderboard.board import RANKING_LOGS, Leaderboard, Table
 from mixo_env.leaderboard.checks import silent_experts
-from mixo_env.leaderboard.comparisons import Comparison, Comparisons
+from mixo_env.leaderboard.comparisons import CONFIRMATORY, Comparison, Comparisons
 from mixo_env.leaderboard.firing_order import FiringOrder, Told, firing_order
 from mixo_env.leaderboard.noise import Source, yaw_noise
 from mixo_env.leaderboard.rows import Row
 from mixo_env.metrics.tracks import LostTracks
-from mixo_env.recordings.schema import TRACKS
+from mixo_env.recordings.schema import TRACKS, TRUE_DISTANCE, Manifest
 
 TRUTH_NAMES = {
     "exact": "the simulator's noise-free poses",
@@ -54,7 +54,10 @@ def conventions(board: Leaderboard) -> list[str]:
         f"RTE: mean over all pieces of path, starts 1 m apart; pieces (scenes) per length: {samples}.",
         f"{intervals} {_folds(board)}",
     ]
-    if board.headline != "exact":
+    lines += _of_imports(board)
+    if board.headline != "exact" and not recordings.manifest.inertial:
+        lines.append("Noise floor of the truth: unknown, no gyro is recorded.")
+    elif board.headline != "exact":
         lines.append(
             f"Noise floor of the truth: {board.noise_floor:.4f} deg/m ({TOLD_FROM[yaw_noise(recordings).source]}); "
             "rows below it have no letter."
@@ -72,6 +75,31 @@ def conventions(board: Leaderboard) -> list[str]:
     return lines
 
 
+def _of_imports(board: Leaderboard) -> list[str]:
+    """What differs where experts come from files."""
+    manifest = board.recordings.manifest
+    if not manifest.imported:
+        return []
+    lines = [
+        "Imported experts: " + ", ".join(manifest.imported) + "; only their yaw is used, all rows share one distance."
+    ]
+    if not manifest.inertial:
+        lines.append(
+            "No inertial expert is recorded: an expert that is lost is replaced by the median of those that are not; "
+            "PAPER, VISION and CONSUMER are the same."
+        )
+    if not manifest.cameras and not manifest.counted:
+        lines.append("No match counts are recorded: MIXO sees yaw rate and speed alone, HIGHEST MATCH has no row.")
+    return lines
+
+
+def distance_words(manifest: Manifest) -> str:
+    """Where the distance comes from, unless it is the wheels and gyro of every recording; said in every title."""
+    if manifest.distance == TRUE_DISTANCE:
+        return "; distance from the ground truth (privileged)"
+    return "" if manifest.distance == "INERTIAL" else f"; distance from {manifest.distance}"
+
+
 def _truths(board: Leaderboard) -> str:
     """The headline's truth, and the others."""
     names = TRUTH_NAMES if "written" in board.courses else TRUTH_NAMES | {"truth": TRUTH_NAMES["written"]}
@@ -81,6 +109,12 @@ def _truths(board: Leaderboard) -> str:
 
 def _folds(board: Leaderboard) -> str:
     protocol = board.protocol
+    manifest = board.recordings.manifest
+    if protocol.foreign and manifest.imported:
+        return (
+            "Fewer than two folds: nothing to learn from that is not tested, so there are no learned policies; wheel "
+            "scale and course offset are nominal."
+        )
     if protocol.foreign:
         return (
             "Fewer than two folds: learned policies were fitted on the bundled recordings, wheel scale and course "
@@ -119,11 +153,18 @@ def count_of(number: int, noun: str) -> str:
     return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
-def title(table: Table) -> str:
-    """What votes in this track."""
+def title(table: Table, manifest: Manifest) -> str:
+    """What votes in this track, and where the distance comes from."""
     inertial = TRACKS[table.track]
-    votes = f"the cameras and {inertial} vote" if inertial else "the cameras vote, inertial gives distance and bridges"
-    return f"Track {table.track}: {votes}"
+    who = " and ".join(
+        ["the cameras"] * bool(manifest.cameras or not manifest.imported)
+        + ["the imported experts"] * bool(manifest.imported)
+    )
+    if not manifest.inertial:
+        votes = f"{who} vote"
+    else:
+        votes = f"{who} and {inertial} vote" if inertial else f"{who} vote, inertial gives distance and bridges"
+    return f"Track {table.track}: {votes}{distance_words(manifest)}"
 
 
 def notes(table: Table) -> list[str]:
@@ -148,6 +189,13 @@ def comparison_lines(comparisons: Comparisons) -> list[str]:
             f"Confirmatory, {count_of(len(family), 'difference')} in RTE deg/m fixed beforehand, paired over "
             f"{count_of(comparisons.logs, 'log')}; p (corrected after Holm), true difference detectable at 80 % power "
             "(at Holm's strictest level): " + "; ".join(map(_confirmed, family)) + "."
+        )
+    there = {(found.first, found.second) for found in comparisons.confirmatory}
+    if comparisons.exploratory and (absent := [pair for pair in CONFIRMATORY if pair not in there]):
+        lines.append(
+            "Fixed beforehand, but not in the confirmatory family because a row is missing: "
+            + ", ".join(f"{first} - {second}" for first, second in absent)
+            + "."
         )
     if family := comparisons.exploratory:
         lines.append(

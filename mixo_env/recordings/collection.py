@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixo_env.errors import ConfigurationError, RecordingError, unknown
-from mixo_env.recordings.schema import SPLITS, TRACKS, Manifest, SceneEntry
+from mixo_env.recordings.schema import SPLITS, TRACKS, Manifest, SceneEntry, in_split
 
 Column = NDArray[Any]
 
@@ -63,12 +63,44 @@ class Recordings:
         """All columns in file order."""
         return tuple(self._columns)
 
+    @property
+    def counting(self) -> tuple[str, ...]:
+        """Experts whose match counts are observed: cameras, and imported ones if any of those brought counts."""
+        return self.manifest.cameras + (self.manifest.imported if self.manifest.counted else ())
+
+    @property
+    def tracks(self) -> tuple[str, ...]:
+        """Tracks that can be played here: those whose inertial expert is recorded, or all if no inertial one is.
+
+        VISION needs somebody besides the inertial experts.
+        """
+        inertial, others = self.manifest.inertial, self.manifest.cameras + self.manifest.imported
+        return tuple(t for t, voter in TRACKS.items() if voter in inertial or (others and not (inertial and voter)))
+
+    @property
+    def tables(self) -> tuple[str, ...]:
+        """The tracks that differ: without any inertial expert all of them are VISION."""
+        return self.tracks if self.manifest.inertial else ("VISION",)
+
     def voters(self, track: str) -> tuple[str, ...]:
-        """Experts that vote in ``track``: cameras, imported ones, then the track's inertial expert if it has one."""
+        """Experts that vote in ``track``: cameras, imported ones, then the track's inertial expert.
+
+        Where no inertial expert is recorded at all, cameras and imported experts are the voters of every track.
+
+        Raises:
+            ConfigurationError: for an unknown track, or one whose inertial expert alone is missing.
+        """
         if track not in TRACKS:
             raise ConfigurationError(unknown("track", track, TRACKS))
-        inertial = TRACKS[track]
-        return self.manifest.cameras + self.manifest.imported + ((inertial,) if inertial else ())
+        if track not in self.tracks:
+            needed = TRACKS[track] or "a camera or an imported expert"
+            raise ConfigurationError(
+                f"track {track} needs {needed}, which these recordings lack: "
+                f"choose {', '.join(self.tracks) or 'others'}"
+            )
+        voter = TRACKS[track]
+        inertial = (voter,) if voter in self.manifest.inertial else ()
+        return self.manifest.cameras + self.manifest.imported + inertial
 
     def index(self, scene: str) -> int:
         """Position of a scene by name."""
@@ -117,7 +149,7 @@ class Recordings:
         keep = [
             i
             for i, entry in enumerate(self.scenes)
-            if (split is None or entry.fold in SPLITS[split])
+            if (split is None or in_split(entry.fold, split))
             and (folds is None or entry.fold in folds)
             and (scenes is None or entry.name in scenes)
             and wanted <= set(entry.conditions)

@@ -11,7 +11,6 @@ from mixo_env.fusion import least_squares_weights, mix
 from mixo_env.geometry import MAD_TO_SIGMA
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.pose_lag import lag_corrected
-from mixo_env.recordings.schema import TRACKS
 from mixo_env.recordings.substitutes import substituted_increments
 
 FloatArray = NDArray[np.float64]
@@ -24,7 +23,7 @@ DEFAULT_REWARD_SCALE_RAD = np.deg2rad(0.05)
 
 
 def with_fits(recordings: Recordings) -> Recordings:
-    """The recordings with ``linear_weights`` and ``reward_scale_rad`` filled in for every track.
+    """The recordings with ``linear_weights`` and ``reward_scale_rad`` filled in for every track that can be played.
 
     LINEAR is fitted once on all folds and once per fold held out; night scenes (fold -1) never take part. The reward
     scale is 1.4826 x the median absolute deviation of LINEAR's yaw-increment error, each scene predicted by the
@@ -35,9 +34,7 @@ def with_fits(recordings: Recordings) -> Recordings:
     truth = lag_corrected(recordings)["truth.yaw_increment_rad"]
     weights: dict[str, dict[str, dict[str, float]]] = {}
     scales: dict[str, float] = {}
-    for track in TRACKS:
-        if not recordings.voters(track):  # no cameras, and no inertial expert votes
-            continue
+    for track in recordings.tracks:
         votes = substituted_increments(recordings, track)
         usable = (folds >= 0) & np.isfinite(truth) & np.isfinite(votes).all(axis=-1)
         present = np.unique(folds[usable])

@@ -68,7 +68,7 @@ def at_keyframes(recordings: Recordings) -> Recordings:
     columns["dt_s"][starts] = 0.0
     columns["time_s"] = columns["time_s"] - np.repeat(columns["time_s"][starts], [scene.rows for scene in scenes])
     columns |= _camera_stds(recordings, kept)
-    for camera in (*recordings.manifest.cameras, *recordings.manifest.variants):
+    for camera in (*recordings.manifest.cameras, *recordings.manifest.variants, *recordings.manifest.imported):
         state = columns[f"{camera}.state"]
         complete = np.isfinite(columns[f"{camera}.yaw_increment_rad"])
         lost, begun = (_any(recordings[f"{camera}.state"] == which, keep) for which in (State.LOST, State.INITIALISING))

@@ -11,7 +11,7 @@ from typing import Any
 import msgspec
 
 from mixo_env.errors import RecordingError, printable
-from mixo_env.recordings.folds import FOLDS, OUT_OF_DISTRIBUTION
+from mixo_env.recordings.folds import MOST_FOLDS, OUT_OF_DISTRIBUTION
 from mixo_env.recordings.schema import (
     INERTIAL_EXPERTS,
     SCHEMA_VERSION,
@@ -94,15 +94,17 @@ def check_manifest(manifest: Manifest) -> None:
         raise _damaged("expected at least one scene, got none")
     _check_names("scene", [scene.name for scene in manifest.scenes], is_scene_name)
     for scene in manifest.scenes:
-        if not OUT_OF_DISTRIBUTION <= scene.fold < FOLDS:
+        if not OUT_OF_DISTRIBUTION <= scene.fold < MOST_FOLDS:
             raise _damaged(
-                f"expected a fold from {OUT_OF_DISTRIBUTION} to {FOLDS - 1} for {scene.name}, got {scene.fold}"
+                f"expected a fold from {OUT_OF_DISTRIBUTION} to {MOST_FOLDS - 1} for {scene.name}, got {scene.fold}"
             )
         if not 1 <= scene.rows <= LARGEST_SCENE:
             raise _damaged(f"expected 1 to {LARGEST_SCENE:,} rows for {scene.name}, got {scene.rows}")
     experts = manifest.cameras + manifest.inertial + manifest.imported
     _check_names("expert", [*experts, *manifest.variants], is_label)
     _check_known("inertial expert", manifest.inertial, INERTIAL_EXPERTS)
+    _check_known("expert with counts", manifest.counted, manifest.imported)
+    _check_known("source of distance", [manifest.distance], ("INERTIAL", "wheels", "truth", *manifest.imported))
     _check_known("camera of a variant", manifest.variants.values(), manifest.cameras)
     _check_known("camera with a cost", manifest.camera_cost_ms, manifest.cameras)
     _check_known("track", [*manifest.reward_scale_rad, *manifest.linear_weights], TRACKS)
@@ -112,7 +114,7 @@ def check_manifest(manifest: Manifest) -> None:
         _check_finite("vehicle constant", asdict(constants).values())
         _check_finite("wheel scale", [constants.wheel_scale], least=1e-3)
     for by_fold in manifest.linear_weights.values():
-        _check_known("fold held out", by_fold, ["none", *map(str, range(FOLDS))])
+        _check_known("fold held out", by_fold, ["none", *map(str, range(MOST_FOLDS))])
         for weights in by_fold.values():
             _check_known("expert with a weight", weights, experts)
             _check_finite("weight of LINEAR", weights.values())

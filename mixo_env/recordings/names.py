@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import re
+from collections.abc import Collection
+
+from mixo_env.errors import ConfigurationError
 from mixo_env.nuscenes.selections import ALL_CAMERAS
 from mixo_env.recordings.schema import INERTIAL_EXPERTS, STEP_COLUMNS, TRACKS
 
@@ -28,15 +32,33 @@ def _key(name: str) -> str:
 
 
 _RESERVED = {
-    _key(name)
-    for name in (*ALL_CAMERAS, *INERTIAL_EXPERTS, *TRACKS, *ROWS, *(column.split(".")[0] for column in STEP_COLUMNS))
+    _key(name) for name in (*INERTIAL_EXPERTS, *TRACKS, *ROWS, *(column.split(".")[0] for column in STEP_COLUMNS))
 }
+
+
+_CAMERAS = {_key(name) for name in ALL_CAMERAS}
 
 
 def is_reserved(name: str) -> bool:
     """Whether a name, however it is written, means something else already.
 
-    That is a column such as ``truth`` or ``exact``, a camera of the rig, an inertial grade, a track, or another row of
-    the leaderboard.
+    That is a column such as ``truth`` or ``exact``, an inertial grade, a track, or another row of the leaderboard. The
+    name of a camera is free, written as the camera's own is: an odometry of that camera may bear it.
     """
-    return _key(name) in _RESERVED
+    return _key(name) in _RESERVED or (_key(name) in _CAMERAS and name not in ALL_CAMERAS)
+
+
+def check_expert_name(name: str, taken: Collection[str]) -> None:
+    """Whether an expert from files may be called so.
+
+    Raises:
+        ConfigurationError: for a name that is no column, is reserved, or is among ``taken``.
+    """
+    if not re.fullmatch(r"[A-Za-z][\w+-]{0,63}", name, re.ASCII):
+        raise ConfigurationError(
+            f"expected a name of letters, digits, _, + and - (up to 64) for the expert, got {name!r}"
+        )
+    if name.casefold() in {other.casefold() for other in taken}:
+        raise ConfigurationError(f"expert {name!r} is already there: choose another name, or --without {name}")
+    if is_reserved(name):
+        raise ConfigurationError(f"{name!r} is the name of something else here: choose another name for the expert")

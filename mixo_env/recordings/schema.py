@@ -22,7 +22,15 @@ TRACKS: dict[str, str | None] = {"PAPER": "INERTIAL_POSE", "VISION": None, "CONS
 """Track -> the inertial expert that votes beside the cameras (``None``: none does). Never mixed in one table."""
 
 SPLITS: dict[str, tuple[int, ...]] = {"train": (0, 1, 2), "test": (3,), "all": (0, 1, 2, 3), "ood": (-1,)}
-"""Named splits -> folds; fold -1 holds the night scenes, which are in no fold of the cross-validation."""
+"""Named splits -> folds; fold -1 holds the night scenes, which are in no fold of the cross-validation.
+
+Where one log after another is left out there are more folds than these four: they count as "train" and "all".
+"""
+
+
+def in_split(fold: int, split: str) -> bool:
+    """Whether a fold belongs to a named split."""
+    return fold in SPLITS[split] or (fold > max(SPLITS["all"]) and split in ("train", "all"))
 
 
 STEP_COLUMNS: dict[str, str] = {
@@ -71,8 +79,17 @@ IMAGE_COLUMNS = ("image_time_offset_s", "own_window_s", "own_window_truth_yaw_in
 VARIANT_COLUMNS = {name: dtype for name, dtype in CAMERA_COLUMNS.items() if name not in IMAGE_COLUMNS}
 """A camera's expert run once more with other settings: what stands in place of that camera's own columns."""
 
-IMPORTED_COLUMNS: dict[str, str] = {"yaw_increment_rad": "float32"}
-"""A trajectory from a file: it has increments only; counts and states are absent and masked, never invented."""
+IMPORTED_COLUMNS: dict[str, str] = {
+    "state": "int8",  # LOST where no pose is near
+    "yaw_increment_rad": "float32",  # over (t_{k-1}, t_k], from the turns between neighbouring poses
+    "yaw_std_rad": "float32",  # these three: NaN unless a file beside the trajectory tells them
+    "matches": "float32",
+    "confidence": "float32",  # of the program's own making: recorded, but seen by no policy
+}
+"""A trajectory from a file. What the file does not tell is absent and masked, never invented."""
+
+TRUE_DISTANCE = "truth"
+"""Source of ``distance_m`` where the truth itself is: privileged, and said in every table."""
 
 
 def columns(
@@ -132,6 +149,8 @@ class Manifest:
     Attributes:
         data_version: e.g. ``"mixocity-0.1"``; part of every printed result.
         cameras, inertial, imported: experts by kind, in column order.
+        counted: imported experts for which match counts are recorded.
+        distance: where ``distance_m`` comes from: ``"INERTIAL"``, ``"wheels"``, an imported expert, or ``"truth"``.
         variants: name -> camera whose images it saw with other settings; scored, but never a voter nor observed.
         parameters: resolved configuration of every expert, as plain JSON values.
         software: package -> version used when recording.
@@ -154,4 +173,6 @@ class Manifest:
     linear_weights: dict[str, dict[str, dict[str, float]]] = field(default_factory=dict)
     camera_cost_ms: dict[str, float] = field(default_factory=dict)
     variants: dict[str, str] = field(default_factory=dict)
+    counted: tuple[str, ...] = ()
+    distance: str = "INERTIAL"
     schema_version: int = SCHEMA_VERSION

@@ -14,10 +14,15 @@ FloatArray = NDArray[np.float64]
 def substitute_increment_rad(recordings: Recordings, track: str) -> FloatArray:
     """The yaw increment ``(rows,)`` [rad] that a lost expert counts with.
 
-    It is that of the track's own inertial expert; INERTIAL's where the track has none or that one is missing as well;
-    no rotation where nothing is left. Row 0 of each scene ends no step and is NaN.
+    It is that of the track's own inertial expert; INERTIAL's where the track has none or that one is missing as well.
+    Recordings without any inertial expert (imported trajectories alone) have the median of the voters that delivered.
+    No rotation where nothing is left. Row 0 of each scene ends no step and is NaN.
     """
     substitute = np.zeros(int(recordings.offsets[-1]))
+    if not recordings.manifest.inertial:
+        votes = [recordings[f"{voter}.yaw_increment_rad"].astype(np.float64) for voter in recordings.voters(track)]
+        told = np.isfinite(votes).any(axis=0)
+        substitute[told] = np.nanmedian(np.stack(votes)[:, told], axis=0)
     for inertial in ("INERTIAL", TRACKS[track]):
         if inertial in recordings.manifest.inertial:
             own = recordings[f"{inertial}.yaw_increment_rad"]

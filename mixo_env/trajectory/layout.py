@@ -11,7 +11,9 @@ RPG_TRUTH = "stamped_groundtruth.txt"
 RPG_ESTIMATE = "stamped_traj_estimate.txt"
 
 _SUFFIXES = (".txt", ".tum", ".kitti", ".csv")
-_NOT_POSES = ("times", "timestamps")
+_NOT_POSES = ("times", "timestamps", "readme", "calib")
+_BESIDE = (".quality", ".times")
+"""Ends of the names of files that stand beside a trajectory."""
 
 
 def scene_files(path: Path, rpg_name: str) -> dict[str, Path]:
@@ -46,11 +48,7 @@ def _scene_files(path: Path, rpg_name: str) -> dict[str, Path]:
     nested = {printable(file.parent.name): file for file in sorted(path.glob(f"*/{rpg_name}"))}
     if nested:
         return nested
-    files = [
-        file
-        for file in sorted(path.iterdir())
-        if file.is_file() and file.suffix.lower() in _SUFFIXES and file.stem.lower() not in _NOT_POSES
-    ]
+    files = _pose_files(path)
     if not files:
         raise TrajectoryError(
             f"{path}: expected trajectory files ({', '.join(_SUFFIXES)}) or folders with {rpg_name}, found none"
@@ -83,3 +81,59 @@ def pair_scenes(truth: Path, estimate: Path) -> dict[str, tuple[Path, Path]]:
                 "every method is scored on the same scenes"
             )
     return {name: (truths[name], estimates[name]) for name in truths}
+
+
+_EUROC = ("mav0/state_groundtruth_estimate0/data.csv", "state_groundtruth_estimate0/data.csv", "data.csv")
+TRUTH_NAMES = ("groundtruth", "ground_truth", "gt", "truth", "poses", "stamped_groundtruth")
+"""Names of the truth's file where a sequence's folder holds several."""
+
+
+def sequence_files(path: Path, names: tuple[str, ...]) -> dict[str, Path]:
+    """Sequence name (printable) -> trajectory file.
+
+    Args:
+        path: a file (one sequence, named by its stem); a folder with a file for every sequence; or a folder with a
+            folder for every sequence, which holds the EuRoC layout, one file, or several of which one bears a name of
+            ``names``.
+        names: of that file, without its suffix, however it is spelt.
+
+    Raises:
+        TrajectoryError: when nothing of the kind is there, or a sequence's folder leaves open which file is meant.
+    """
+    try:
+        folders = sorted(folder for folder in path.iterdir() if folder.is_dir()) if path.is_dir() else []
+        found = {printable(folder.name): file for folder in folders if (file := _sequence_file(folder, names))}
+        plain = path.is_dir() and not _pose_files(path)
+    except (OSError, ValueError) as error:
+        raise TrajectoryError(f"{path}: expected a folder of trajectories, cannot look: {error}") from None
+    return found if found and plain else scene_files(path, RPG_ESTIMATE)
+
+
+def _sequence_file(folder: Path, names: tuple[str, ...]) -> Path | None:
+    """The trajectory in the folder of one sequence; ``None`` without any."""
+    for inside in _EUROC:
+        if (folder / inside).is_file():
+            return folder / inside
+    files = _pose_files(folder)
+    if len(files) <= 1:
+        return files[0] if files else None
+    wanted = {name.casefold() for name in names}
+    named = [file for file in files if file.stem.casefold() in wanted]
+    if len(named) == 1:
+        return named[0]
+    raise TrajectoryError(
+        f"{folder}: expected one trajectory, or one named {names[0]}, got "
+        f"{', '.join(printable(file.name) for file in files[:5])}{', ...' if len(files) > 5 else ''}"
+    )
+
+
+def _pose_files(folder: Path) -> list[Path]:
+    """Files that may hold poses, in order of name."""
+    return [
+        file
+        for file in sorted(folder.iterdir())
+        if file.suffix.lower() in _SUFFIXES
+        and file.stem.lower() not in _NOT_POSES
+        and not file.stem.lower().endswith(_BESIDE)
+        and file.is_file()
+    ]

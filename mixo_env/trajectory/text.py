@@ -59,7 +59,7 @@ def read_numbers(path: Path) -> NumberTable:
         TrajectoryError: when the file is missing, empty, too long or not text, or a line holds something else than as
             many finite numbers as the first.
     """
-    rows, lines, heading = _rows(path, _text(path))
+    rows, lines, heading = _rows(path, read_text(path))
     if not rows:
         raise TrajectoryError(f"{path}: expected at least 2 poses, the file is empty; check how it was written")
     separator = next((mark for mark in ";," if mark in rows[0]), " ")
@@ -76,8 +76,12 @@ def read_numbers(path: Path) -> NumberTable:
     return table
 
 
-def _text(path: Path) -> str:
-    """The file's text, at most ``_LARGEST_BYTES`` of it, unpacked if need be."""
+def read_text(path: Path) -> str:
+    """A text file whole, at most 256 MB of it, unpacked if need be.
+
+    Raises:
+        TrajectoryError: when it is missing, no text or too long.
+    """
     try:
         if path == STANDARD_INPUT:
             data = sys.stdin.buffer.read(_LARGEST_BYTES + 1)

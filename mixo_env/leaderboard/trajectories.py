@@ -1,0 +1,106 @@
+"""Out again: the truth, every expert and any policy's fused trajectory as files, scene by scene.
+
+They are what the leaderboard scores, so ``mixo evaluate`` finds its numbers in them.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from mixo_env.leaderboard.board import choose
+from mixo_env.leaderboard.crossvalidation import CrossValidation, Run
+from mixo_env.leaderboard.evaluation import FLOORS, Course, Poses, poses
+from mixo_env.policies.registry import names as policy_names
+from mixo_env.recordings.collection import Recordings
+from mixo_env.trajectory import Trajectory, write_kitti, write_tum
+from mixo_env.trajectory.axes import BODY_AXES
+
+Format = Literal["tum", "kitti"]
+
+GROUNDTRUTH = "groundtruth"
+
+
+@dataclass(frozen=True)
+class Way:
+    """One row's way through one scene.
+
+    Attributes:
+        row: name of the policy, expert or floor; ``groundtruth``.
+        scene: its name.
+        trajectory: planar, x forward, y left, z up, with Unix times.
+    """
+
+    row: str
+    scene: str
+    trajectory: Trajectory
+
+
+def ways(
+    recordings: Recordings,
+    track: str,
+    policies: Sequence[str] = (),
+    *,
+    seed: int = 0,
+    progress: Callable[[str], None] = lambda _: None,
+) -> Iterator[Way]:
+    """The truth of the headline, every expert alone, then policies; a scene on which a row was not tested is left out.
+
+    Args:
+        recordings: scenes; policies that learn are fitted on the folds that hold none of them.
+        track: whose experts vote.
+        policies: names as in the leaderboard, however they are spelt.
+        seed: of learned policies.
+        progress: told what is about to run.
+
+    Raises:
+        ConfigurationError: for an unknown track or policy.
+        PolicyError: when a policy does not fit the recordings.
+    """
+    recordings.voters(track)
+    chosen = choose(policies, (*policy_names(recordings), *FLOORS)) if policies else ()
+    protocol = CrossValidation(recordings, seed=seed)
+    course = Course(protocol.recordings, protocol.truths[0])
+    everywhere = np.ones(len(protocol.recordings), np.bool_)
+    yield from _scenes(GROUNDTRUTH, course.poses, everywhere, protocol.recordings)
+    for name in dict.fromkeys((*recordings.experts, *chosen)):
+        progress(name)
+        run: Run = protocol.run(name, track, folds=protocol.folds[-1:] if protocol.expensive(name) else None)
+        yield from _scenes(name, poses(run.motion, course.poses, course.offsets), run.tested, protocol.recordings)
+
+
+def write_way(folder: Path, way: Way, form: Format) -> Path:
+    """Write one way to ``folder/row/scene.txt`` and return that path; KITTI files are in camera axes, without times."""
+    path = folder / folder_name(way.row) / f"{way.scene}.txt"
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if form == "tum":
+        write_tum(path, way.trajectory)
+    else:
+        write_kitti(path, _in_camera_axes(way.trajectory))
+    return path
+
+
+def folder_name(row: str) -> str:
+    """Name of the folder of a row: blanks and what a file's name cannot hold become underscores."""
+    return re.sub(r"[^\w+-]+", "_", row).strip("_")
+
+
+def _scenes(row: str, way: Poses, tested: np.ndarray, recordings: Recordings) -> Iterator[Way]:
+    times_s = 1e-6 * recordings["timestamp_us"]
+    for i in np.flatnonzero(tested):
+        rows = slice(*recordings.offsets[i : i + 2])
+        planar = Trajectory.from_planar(way.x_m[rows], way.y_m[rows], way.yaw_rad[rows], times_s[rows])
+        yield Way(row, recordings.scenes[i].name, planar)
+
+
+def _in_camera_axes(trajectory: Trajectory) -> Trajectory:
+    """The same motion with body and world x right, y down, z forward."""
+    axes = np.eye(4)
+    axes[:3, :3] = np.array(BODY_AXES["camera"], dtype=np.float64).T
+    turned = Trajectory.from_matrices(axes @ trajectory.matrices() @ axes.T, trajectory.timestamps_s)
+    return replace(turned, camera_axes=True)
