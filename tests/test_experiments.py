@@ -243,9 +243,10 @@ def test_imported_expert_votes_and_has_a_row_of_its_own(recordings: Recordings) 
     columns = {c: recordings[c] for c in recordings.column_names}
     columns["DROID.yaw_increment_rad"] = recordings["INERTIAL.yaw_increment_rad"].copy()
     columns["DROID.yaw_increment_rad"][5:9] = np.nan
+    columns["DROID.state"] = np.where(np.isfinite(columns["DROID.yaw_increment_rad"]), State.TRACKING, State.LOST)
     more = Recordings(replace(recordings.manifest, imported=("DROID",)), columns)
     board = build(more, tracks=("PAPER",), policies=("DROID", "LINEAR", "MEDIAN", "HIGHEST MATCH"))
     (table,) = board.tables
     assert [row.run.name for row in table.rows] == ["DROID", "HIGHEST MATCH", "MEDIAN", "LINEAR"]
-    assert table.rows[0].lost is None
+    assert table.rows[0].lost is not None
     assert list(table.linear_weights()[0]) == [*recordings.manifest.cameras, "DROID", "INERTIAL_POSE"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -15,8 +16,9 @@ from mixo_env.geometry import multiply_quaternions_wxyz, quaternion_wxyz_from_ro
 from mixo_env.leaderboard.evaluation import FLOORS
 from mixo_env.policies.registry import POLICIES
 from mixo_env.recordings.fitting import DEFAULT_REWARD_SCALE_RAD
-from mixo_env.recordings.importing import read_trajectories, with_imported
+from mixo_env.recordings.importing import with_imported, without
 from mixo_env.recordings.names import ROWS, is_reserved
+from mixo_env.recordings.sequence_files import Reading, Source, read_sources
 from mixo_env.recordings.store import load_recordings, save_recordings
 from mixo_env.recordings.substitutes import substituted_increments
 from mixo_env.trajectory import Trajectory, write_kitti, write_tum
@@ -91,6 +93,10 @@ def test_times_that_do_not_fit_are_refused():
         imported_increments(replace(turning(np.arange(10.0)), timestamps_s=None), steps)
 
 
+def source(trajectory: Trajectory, axes: str = "vehicle") -> Source:
+    return Source(Path("file.txt"), trajectory, axes, None)
+
+
 def truth(recordings, scene: str) -> Trajectory:
     rows = recordings.rows(scene)
     return Trajectory.from_planar(
@@ -101,7 +107,7 @@ def truth(recordings, scene: str) -> Trajectory:
 def test_a_perfect_expert_gets_all_the_weight():
     recordings = synthetic_recordings(scenes=4)
     names = [scene.name for scene in recordings.scenes]
-    extended = with_imported(recordings, "PERFECT", {name: truth(recordings, name) for name in names})
+    extended = with_imported(recordings, "PERFECT", {name: source(truth(recordings, name)) for name in names})
     assert extended.manifest.imported == ("PERFECT",)
     assert extended.voters("CONSUMER")[-2:] == ("PERFECT", "INERTIAL_CONSUMER")
     np.testing.assert_allclose(extended["PERFECT.yaw_increment_rad"], recordings["truth.yaw_increment_rad"], atol=2e-6)
@@ -119,7 +125,9 @@ def test_a_perfect_expert_gets_all_the_weight():
 def test_scenes_without_a_trajectory_stay_empty():
     recordings = synthetic_recordings(scenes=3)
     extended = with_imported(
-        recordings, "X", {"scene-2002": truth(recordings, "scene-2002"), "scene-1": turning(np.arange(3.0))}
+        recordings,
+        "X",
+        {"scene-2002": source(truth(recordings, "scene-2002")), "scene-1": source(turning(np.arange(3.0)))},
     )
     available = [np.isfinite(extended.rows(i)["X.yaw_increment_rad"]).sum() for i in range(3)]
     assert available == [0, extended.scenes[1].rows - 1, 0]
@@ -130,7 +138,7 @@ def test_scenes_without_a_trajectory_stay_empty():
     [
         "CAM_FRONT",
         "cam_front",
-        "CAM_FRONT_RIGHT",
+        "Cam-Front-Right",
         "INERTIAL_POSE",
         "a b",
         "x.y",
@@ -146,7 +154,7 @@ def test_scenes_without_a_trajectory_stay_empty():
 def test_names_that_cannot_be_used(name):
     recordings = synthetic_recordings(scenes=1)
     with pytest.raises(ConfigurationError):
-        with_imported(recordings, name, {"scene-2001": truth(recordings, "scene-2001")})
+        with_imported(recordings, name, {"scene-2001": source(truth(recordings, "scene-2001"))})
 
 
 def test_the_names_of_all_rows_are_reserved():
@@ -173,7 +181,7 @@ def test_another_recording_is_never_replaced(tmp_path, capsys):
 
 def test_no_scene_at_all_is_an_error():
     with pytest.raises(TrajectoryError, match="named after scenes like scene-2001, got drive-7"):
-        with_imported(synthetic_recordings(scenes=1), "X", {"drive-7": turning(np.arange(3.0))})
+        with_imported(synthetic_recordings(scenes=1), "X", {"drive-7": source(turning(np.arange(3.0)))})
 
 
 @pytest.mark.parametrize("kind", ["tum", "kitti", "camera in tum"])
@@ -204,4 +212,34 @@ def test_mixo_import(tmp_path, capsys, kind):
 
 def test_folders_that_hold_no_trajectories(tmp_path):
     with pytest.raises(TrajectoryError):
-        read_trajectories(tmp_path)
+        read_sources("X", tmp_path, ("X",), Reading())
+
+
+def test_an_expert_left_out_is_gone_and_its_name_is_free():
+    recordings = synthetic_recordings(scenes=3)
+    left = without(recordings, ["CAM_BACK", "INERTIAL_POSE"])
+    assert not [name for name in left.column_names if name.startswith(("CAM_BACK.", "INERTIAL_POSE."))]
+    assert (left.tracks, left.voters("CONSUMER")[-1]) == (("VISION", "CONSUMER"), "INERTIAL_CONSUMER")
+    assert "CAM_BACK" not in left.manifest.linear_weights["VISION"]["none"]
+    with pytest.raises(ConfigurationError, match="PAPER needs INERTIAL_POSE, which these recordings lack"):
+        left.voters("PAPER")
+    sources = {scene.name: source(truth(recordings, scene.name)) for scene in recordings.scenes}
+    replaced = with_imported(left, "CAM_BACK", sources)
+    assert replaced.voters("VISION") == ("CAM_FRONT", "CAM_FRONT_LEFT", "CAM_BACK_RIGHT", "CAM_BACK")
+    with pytest.raises(ConfigurationError, match="already there"):
+        with_imported(recordings, "CAM_BACK", sources)
+
+
+def test_inertial_experts_alone_can_be_kept():
+    recordings = synthetic_recordings(scenes=2)
+    alone = without(recordings, recordings.manifest.cameras)
+    assert (alone.manifest.cameras, alone.tracks) == ((), ("PAPER", "CONSUMER"))
+    assert alone.voters("CONSUMER") == ("INERTIAL_CONSUMER",)
+
+
+def test_yaw_that_contradicts_the_recorded_truth_is_refused():
+    recordings = synthetic_recordings(scenes=2)
+    sources = {scene.name: source(as_camera(truth(recordings, scene.name))) for scene in recordings.scenes}
+    with pytest.raises(TrajectoryError, match="--axes X=camera fits"):
+        with_imported(recordings, "X", sources)
+    assert with_imported(recordings, "X", sources, despite=True).manifest.imported == ("X",)

@@ -15,7 +15,6 @@ from mixo_env.leaderboard.evaluation import FLOORS, Motion, rollout, with_wheels
 from mixo_env.policies.fitting import drives, prepare
 from mixo_env.policies.policy import Policy
 from mixo_env.policies.registry import create
-from mixo_env.policies.single import Single
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.drives import drive_hash
 from mixo_env.recordings.folds import OUT_OF_DISTRIBUTION
@@ -170,8 +169,6 @@ class CrossValidation:
             motions = {truth: (FLOORS[name](with_truth(self.recordings, truth)),) for truth in self.truths}
             return Run(name, True, False, motions, everything, {})
         policy = self._create(name)
-        if not isinstance(policy, Single) and not self.recordings.voters(track):
-            raise PolicyError(f"no expert votes in track {track} of these recordings, they have no cameras")
         # Asked once: what is shown to a policy and what the table says of it must be the same.
         learns, privileged = bool(policy.learns), bool(policy.privileged)
         if learns:
