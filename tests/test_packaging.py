@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+import shutil
 import subprocess
 import sys
-import sysconfig
 import tarfile
 import zipfile
 from pathlib import Path
@@ -26,8 +26,10 @@ def run(*command: str, cwd: Path) -> str:
 @pytest.fixture(scope="module")
 def archives(tmp_path_factory):
     """The sdist, and the wheel built from it."""
-    out = tmp_path_factory.mktemp("dist")
-    run(sys.executable, "-m", "build", "--no-isolation", "--outdir", str(out), str(ROOT), cwd=out)
+    out, source = tmp_path_factory.mktemp("dist"), tmp_path_factory.mktemp("source") / "repository"
+    # A copy without the egg-info of earlier builds, which would add whatever they had found.
+    shutil.copytree(ROOT, source, ignore=shutil.ignore_patterns(".*", "*.egg-info", "__pycache__", "build", "results"))
+    run(sys.executable, "-m", "build", "--no-isolation", "--outdir", str(out), str(source), cwd=out)
     (wheel,), (sdist,) = out.glob("*.whl"), out.glob("*.tar.gz")
     return wheel, sdist
 
@@ -56,6 +58,27 @@ def test_both_archives_hold_every_file_of_the_packages(archives):
     assert not [name for name in in_wheel if name.startswith("tests/")]
 
 
+def test_the_wheel_owns_one_name(archives):
+    """A wheel that owned ``baselines`` or ``experiments`` would break users' own folders of these names."""
+    with zipfile.ZipFile(archives[0]) as archive:
+        tops = {name.partition("/")[0] for name in archive.namelist()}
+    assert {name for name in tops if not name.endswith(".dist-info")} == {"mixo_env"}
+    assert len(tops) == 2
+
+
+def test_the_sdist_holds_the_repository(archives):
+    with tarfile.open(archives[1]) as archive:
+        in_sdist = {name.partition("/")[2] for name in archive.getnames()}
+    listed = subprocess.run(["git", "ls-files"], cwd=ROOT, capture_output=True, text=True, check=False)
+    if listed.returncode:
+        pytest.skip("needs the repository's own list of files")
+    wanted = {
+        f for f in listed.stdout.split() if f.split("/")[0] in ("baselines", "docs", "examples", "experiments", "tests")
+    }
+    assert {f.split("/")[0] for f in wanted} == {"baselines", "docs", "examples", "experiments", "tests"}
+    assert wanted - in_sdist == set()
+
+
 def test_the_wheel_works_in_a_clean_virtual_environment(archives, tmp_path):
     wheel, _ = archives
     python = tmp_path / "venv" / "bin" / "python"
@@ -63,12 +86,17 @@ def test_the_wheel_works_in_a_clean_virtual_environment(archives, tmp_path):
     run(sys.executable, "-m", "pip", "--python", str(python), "install", "--no-deps", str(wheel), cwd=tmp_path)
     # Dependencies are borrowed; the source tree, installed beside them in editable mode, is not seen through a path.
     site = Path(run(str(python), "-c", "import site; print(site.getsitepackages()[0])", cwd=tmp_path).strip())
-    (site / "borrowed.pth").write_text(sysconfig.get_path("purelib") + "\n")
+    borrowed = [path for path in sys.path if path.endswith("site-packages")]
+    (site / "borrowed.pth").write_text("\n".join(borrowed) + "\n")
     code = (
         "import mixo_env; from mixo_env.recordings.store import load_recordings; "
         "print(mixo_env.__file__, len(load_recordings()))"
     )
-    where, scenes = run(str(python), "-c", code, cwd=tmp_path).split()
+    project = tmp_path / "project"  # whose folders have names that are ours in the source tree
+    for name in ("experiments", "baselines"):
+        (project / name).mkdir(parents=True)
+        (project / name / "__init__.py").write_text("raise RuntimeError('not ours')\n")
+    where, scenes = run(str(python), "-c", code, cwd=project).split()
     assert Path(where).is_relative_to(site)
     assert int(scenes) >= 12
-    assert "benchmark" in run(str(python.with_name("mixo")), "--help", cwd=tmp_path)
+    assert "benchmark" in run(str(python.with_name("mixo")), "--help", cwd=project)
