@@ -45,13 +45,20 @@ class OracleHull(Policy):
     privileged = True
 
     def act(self, observation: Observation) -> Weights:
-        """Rows ``(batch, experts)``: the lowest and the highest voter share the weight."""
+        """Rows ``(batch, experts)``: the nearest voters on either side of the truth share the weight.
+
+        The nearest, because a wild increment is clipped in what is observed, and rounded like anything large.
+        """
         rates = observation["yaw_rates"].astype(np.float64)
+        apart = rates - observation["truth_yaw_rate"]
         row = np.arange(len(rates))
-        low, high = np.argmin(rates, axis=1), np.argmax(rates, axis=1)
+        low = np.argmax(np.where(apart <= 0.0, apart, -np.inf), axis=1)
+        high = np.argmin(np.where(apart >= 0.0, apart, np.inf), axis=1)
+        nearest = np.argmin(np.abs(apart), axis=1)
+        low = np.where((apart <= 0.0).any(axis=1), low, nearest)
+        high = np.where((apart >= 0.0).any(axis=1), high, nearest)
         span = rates[row, high] - rates[row, low]
-        above = observation["truth_yaw_rate"][:, 0] - rates[row, low]
-        share = np.clip(np.divide(above, span, out=np.zeros_like(span), where=span > 0), 0.0, 1.0)
+        share = np.divide(-apart[row, low], span, out=np.zeros_like(span), where=span > 0.0)
         weights = np.zeros(rates.shape)
         weights[row, high] += share
         weights[row, low] += 1.0 - share
