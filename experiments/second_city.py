@@ -23,7 +23,7 @@ from mixo_env.files import write_json
 from mixo_env.leaderboard.board import Table, build
 from mixo_env.leaderboard.comparisons import LEVEL, Comparison
 from mixo_env.leaderboard.sentences import p_text, percent
-from mixo_env.policies.registry import create, names
+from mixo_env.policies.registry import kind, names
 from mixo_env.recordings.store import load_recordings
 from mixo_env.tables import Column
 from mixo_env.tables import Table as TextTable
@@ -80,7 +80,7 @@ def tables_of(recordings: str | None) -> dict[str, Table]:
     loaded = load_recordings(recordings)
     if len({scene.fold for scene in loaded.scenes if scene.fold >= 0}) < 2:
         raise PolicyError(f"{recordings}: expected two folds or more, to learn in the city itself: record more drives")
-    board = build(loaded, policies=[name for name in names(loaded) if not create(name, loaded).expensive])
+    board = build(loaded, policies=[name for name in names(loaded) if not kind(name, loaded).expensive])
     return {table.track: table for table in board.tables}
 
 

@@ -110,11 +110,11 @@ def table_scores(table: Table) -> dict[str, dict[str, float]]:
 
 def leaderboard_scores(recordings: Recordings, choice: Choice) -> Scores:
     """The leaderboard of one variant: learned policies are fitted anew, expensive ones left out."""
-    from mixo_env.policies.registry import create, names
+    from mixo_env.policies.registry import kind, names
 
     chosen = {*choice.plain, *choice.staged}
     scenes = recordings.select(scenes=[scene.name for scene in recordings.scenes if scene.name in chosen])
-    board = build(scenes, policies=[name for name in names(scenes) if not create(name, scenes).expensive])
+    board = build(scenes, policies=[name for name in names(scenes) if not kind(name, scenes).expensive])
     return {table.track: table_scores(table) for table in board.tables}
 
 

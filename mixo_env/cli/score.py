@@ -40,6 +40,9 @@ class Score:
     fitted_on: str | None = None
     """Where a frozen policy was trained: none, train (folds 0 to 2), or a file with a scene or drive hash a line."""
 
+    policy_class: str | None = None
+    """module:Class or file.py:Class that wrote a saved folder. None: one of mixo's own or of an installed plug-in."""
+
     observation: Literal["paper", "rich", "dict"] = "paper"
     """What a function or network sees, as in gym.make."""
 
@@ -75,7 +78,7 @@ class Score:
         from mixo_env.cli.progress import progress
         from mixo_env.files import writable_folder, write_json
         from mixo_env.leaderboard.report import print_leaderboard
-        from mixo_env.leaderboard.stranger import BESIDE, score
+        from mixo_env.leaderboard.stranger import BESIDE, Options, score
         from mixo_env.policies.agent import Playing
         from mixo_env.policies.sb3 import Network
 
@@ -88,10 +91,13 @@ class Score:
                 self.track,
                 folds=self.folds,
                 fitted_on=self._declared(),
-                playing=Playing(self.observation, self.weights, self.raw_scale, self.vectorised),
-                network=Network(self.algorithm, self.activation, self.statistics),
-                seed=self.seed,
-                seeds=self.seeds,
+                options=Options(
+                    Playing(self.observation, self.weights, self.raw_scale, self.vectorised),
+                    Network(self.algorithm, self.activation, self.statistics),
+                    self.policy_class,
+                    self.seed,
+                    self.seeds,
+                ),
                 progress=lambda _: report(next(begun), len(BESIDE) + 1),
             )
         print_leaderboard(scored.board)

@@ -104,7 +104,7 @@ def build(
     seed: int = 0,
     seeds: int = 1,
     ground_truth: GroundTruth = "poses",
-    outside: Mapping[str, Callable[[], Policy]] | None = None,
+    outside: Mapping[str, type[Policy] | Policy] | None = None,
     folds: Sequence[int] = (),
     night: bool = True,
     progress: Callable[[str], None] = lambda _: None,
@@ -118,7 +118,7 @@ def build(
         seed: of every learned policy and of the bootstrap.
         seeds: of every learned policy; its row is the mean of their errors.
         ground_truth: a step from image to image, or from key frame to key frame as in the paper.
-        outside: further policies, name -> what makes a new one.
+        outside: further policies, name -> class, or one that is played as it is.
         folds: score scenes of these only; empty: all.
         night: score also those in no fold, unless ``folds`` says which.
         progress: told what is about to run.

@@ -13,8 +13,9 @@ from mixo_env.errors import ConfigurationError, PolicyError, unknown
 from mixo_env.leaderboard.checks import check_complete
 from mixo_env.leaderboard.evaluation import FLOORS, Motion, rollout, with_wheels
 from mixo_env.policies.fitting import drives, prepare
+from mixo_env.policies.outside import make_policy
 from mixo_env.policies.policy import Policy
-from mixo_env.policies.registry import create
+from mixo_env.policies.registry import create, kind
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.drives import drive_hash
 from mixo_env.recordings.folds import OUT_OF_DISTRIBUTION
@@ -87,13 +88,14 @@ class CrossValidation:
         seeds: int = 1,
         ground_truth: GroundTruth = "poses",
         out_of_distribution: bool = False,
-        outside: Mapping[str, Callable[[], Policy]] | None = None,
+        outside: Mapping[str, type[Policy] | Policy] | None = None,
         tested_folds: Sequence[int] = (),
         bundled: Callable[[], Recordings] = load_recordings,
     ) -> None:
         """Divide ``recordings``; when nothing is in a fold, all scenes are scored.
 
-        ``outside`` makes further policies by name; ``tested_folds`` are scored, empty: all.
+        ``outside`` holds further policies by name: classes, or ones played as they are; ``tested_folds`` are
+        scored, empty: all.
 
         Raises:
             ConfigurationError: for no seed at all, or when no scene is out of distribution and these are asked for.
@@ -143,14 +145,20 @@ class CrossValidation:
         return self._training[fold]
 
     def expensive(self, name: str) -> bool:
-        """Whether a policy says that it is too slow to be fitted for every fold; one that cannot be made says no."""
+        """Whether a class says that it is too slow to fit for every fold; one that cannot be imported does not."""
         try:
-            return name not in FLOORS and bool(self._create(name).expensive)
+            return name not in FLOORS and bool(self._kind(name).expensive)
         except PolicyError:
             return False
 
+    def _kind(self, name: str) -> type[Policy] | Policy:
+        return self._strangers[name] if name in self._strangers else kind(name, self.recordings)
+
     def _create(self, name: str) -> Policy:
-        return self._strangers[name]() if name in self._strangers else create(name, self.recordings)
+        if name not in self._strangers:
+            return create(name, self.recordings)
+        given = self._strangers[name]
+        return make_policy(given) if isinstance(given, type) else given
 
     def run(self, name: str, track: str, *, folds: Sequence[int] | None = None) -> Run:
         """Fit, where there is something to learn, and play through every test scene.

@@ -8,15 +8,14 @@ from pathlib import Path
 from typing import Any
 
 from mixo_env.errors import ConfigurationError, unknown
-from mixo_env.leaderboard.board import Leaderboard, build
+from mixo_env.leaderboard.board import Leaderboard, build, requested
 from mixo_env.leaderboard.comparisons import Comparison
 from mixo_env.leaderboard.exports import to_json
 from mixo_env.leaderboard.rows import Row
 from mixo_env.leaderboard.sentences import p_text
-from mixo_env.policies.agent import Playing
-from mixo_env.policies.fitting import drives
-from mixo_env.policies.outside import Outside, resolve
-from mixo_env.policies.sb3 import Network
+from mixo_env.policies.agent import Frozen
+from mixo_env.policies.fitting import check, drives
+from mixo_env.policies.outside import Outside, Reading, resolve
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.drives import drive_hash
 from mixo_env.recordings.store import load_recordings
@@ -26,6 +25,19 @@ BESIDE = ("CAM_FRONT", "LINEAR", "HUBER", "MIXO")
 
 TRAINING_FOLDS = (0, 1, 2)
 """What ``gym.make`` plays when nothing is said: split "train"."""
+
+
+@dataclass(frozen=True)
+class Options(Reading):
+    """What is rarely said: how the policy is read, and the seeds.
+
+    Attributes:
+        seed: of everything random.
+        seeds: fits of every learned policy.
+    """
+
+    seed: int = 0
+    seeds: int = 1
 
 
 @dataclass(frozen=True)
@@ -71,10 +83,7 @@ def score(
     *,
     folds: Sequence[int] = (),
     fitted_on: Recordings | Iterable[str] | None = None,
-    playing: Playing | None = None,
-    network: Network | None = None,
-    seed: int = 0,
-    seeds: int = 1,
+    options: Options | None = None,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Scored:
     """Score a policy from outside beside CAM_FRONT, LINEAR, HUBER and MIXO, with paired differences.
@@ -86,15 +95,12 @@ def score(
         policy: a :class:`~mixo_env.policies.policy.Policy`, its class, a function ``observation -> action``, or text:
             ``module:Class``, ``file.py:Class``, a folder written by ``Policy.save``, a zip of Stable-Baselines3, the
             name of a row. A function sees what an agent of ``gym.make`` sees: by default the flat ``"paper"``
-            observation of one scene, and its action is read as by ``weights="softmax"``; see ``playing``.
+            observation of one scene, and its action is read as by ``weights="softmax"``; see ``options``.
         recordings: scenes, or where they lie; ``None``: the bundled mixocity.
         track: who votes besides the cameras.
         folds: score the scenes of these only; empty: all.
         fitted_on: where a frozen policy was trained: recordings, or what :func:`declared` takes.
-        playing: how a function or network is asked.
-        network: what a zip does not say.
-        seed: of everything random.
-        seeds: fits of every learned policy.
+        options: what is rarely said; ``None``: the defaults.
         progress: told what is about to run.
 
     Raises:
@@ -103,17 +109,23 @@ def score(
     """
     scenes = recordings if isinstance(recordings, Recordings) else load_recordings(recordings and str(recordings))
     trained = None if fitted_on is None else declared(fitted_on, scenes)
-    found = resolve(policy, scenes, playing=playing or Playing(), network=network or Network(), fitted_on=trained)
-    chosen = tuple(folds)
-    if not chosen and found.make().expensive:
-        chosen = tuple(sorted({scene.fold for scene in scenes.scenes if scene.fold >= 0}))[-1:]
+    options = options or Options()
+    found = resolve(policy, scenes, options, trained)
+    present = sorted({scene.fold for scene in scenes.scenes if scene.fold >= 0})
+    chosen = tuple(folds) or tuple(present[-1:] if found.kind.expensive else ())
+    names = beside(found, scenes)
+    outside = {} if found.builtin else {found.name: found.kind}
+    requested(scenes, (track,), names, tuple(outside))
+    if isinstance(found.kind, Frozen):  # before minutes are spent on the rows beside it
+        found.kind.start(scenes.voters(track))
+        check(found.kind, scenes.select(folds=chosen or present) if present else scenes, track)
     board = build(
         scenes,
         tracks=(track,),
-        policies=beside(found, scenes),
-        seed=seed,
-        seeds=seeds,
-        outside={} if found.builtin else {found.name: found.make},
+        policies=names,
+        seed=options.seed,
+        seeds=options.seeds,
+        outside=outside,
         folds=chosen,
         night=False,
         progress=progress,

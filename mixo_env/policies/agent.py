@@ -100,23 +100,27 @@ class Frozen(Policy):
     def __init__(self, policy: Policy, name: str, fitted_on: frozenset[str]) -> None:
         """Show ``policy`` as ``name``; ``fitted_on`` holds the hashes of its training drives."""
         self.name, self.fitted_on = name, fitted_on
-        self._policy = policy
+        self.policy = policy
         self.privileged = bool(policy.privileged)  # type: ignore[misc]
+
+    def weighted(self, voters: tuple[str, ...]) -> tuple[str, ...]:
+        """As the policy itself."""
+        return self.policy.weighted(voters)
 
     def start(self, voters: Any) -> None:
         """Keep the experts it was fitted for; one that learned nothing takes those that vote."""
-        if not self._policy.experts:
-            self._policy.start(voters)
-        self.experts = self._policy.experts
+        if not self.policy.experts:
+            self.policy.start(voters)
+        self.experts = self.policy.experts
 
     def reset(self, batch: int) -> None:
         """Forget the past."""
-        self._policy.reset(batch)
+        self.policy.reset(batch)
 
     def act(self, observation: Observation) -> Weights:
         """Its weights."""
-        return self._policy.act(observation)
+        return self.policy.act(observation)
 
     def tensors(self) -> dict[str, Any]:
         """What was learned; it must then say where."""
-        return self._policy.tensors()
+        return self.policy.tensors()

@@ -7,7 +7,9 @@ cannot be stopped here.)
 from __future__ import annotations
 
 from mixo_env.errors import PolicyError
+from mixo_env.policies.agent import Frozen
 from mixo_env.policies.policy import Policy
+from mixo_env.policies.single import Single
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.drives import drive_hash
 from mixo_env.recordings.truths import for_learning
@@ -42,10 +44,12 @@ def check(policy: Policy, recordings: Recordings, track: str) -> None:
     """
     voters = recordings.voters(track)
     expected = policy.weighted(voters)
-    if expected not in (voters, (*voters, policy.name)):
+    shown = policy.policy if isinstance(policy, Frozen) else policy
+    reference = (shown.name,) if type(shown) is Single else ()
+    if expected not in (voters, (*voters, *reference)):
         raise PolicyError(
             f"{policy.name} would weight {', '.join(expected)} in track {track}, where {', '.join(voters)} vote: only "
-            "a single expert may be shown without a vote, under its own name"
+            "a single expert, alone, may be shown without a vote"
         )
     if policy.experts != expected:
         raise PolicyError(

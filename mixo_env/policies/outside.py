@@ -5,8 +5,7 @@ from __future__ import annotations
 import importlib
 import importlib.util
 import sys
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -17,8 +16,6 @@ from mixo_env.policies.policy import Policy
 from mixo_env.policies.sb3 import Network, read_network
 from mixo_env.recordings.collection import Recordings
 
-Maker = Callable[[], Policy]
-
 
 @dataclass(frozen=True)
 class Outside:
@@ -26,31 +23,38 @@ class Outside:
 
     Attributes:
         name: of its row.
-        make: a new, unfitted one (or the frozen one).
+        kind: its class, of which a new one is fitted for every fold, or the frozen policy.
         builtin: it is one of the registry's own rows.
     """
 
     name: str
-    make: Maker
+    kind: type[Policy] | Frozen
     builtin: bool = False
 
 
-def resolve(
-    given: Any,
-    recordings: Recordings,
-    *,
-    playing: Playing,
-    network: Network,
-    fitted_on: frozenset[str] | None = None,
-) -> Outside:
+@dataclass(frozen=True)
+class Reading:
+    """How something from outside is read.
+
+    Attributes:
+        playing: how a function or a network is asked.
+        network: what a zip does not say in plain JSON.
+        policy_class: ``module:Class`` or ``file.py:Class`` that wrote a saved folder; imported because this says so.
+    """
+
+    playing: Playing = field(default_factory=Playing)
+    network: Network = field(default_factory=Network)
+    policy_class: str | None = None
+
+
+def resolve(given: Any, recordings: Recordings, reading: Reading, fitted_on: frozenset[str] | None = None) -> Outside:
     """Find the policy that ``given`` means.
 
     Args:
         given: a :class:`Policy`, its class, a function, or text: a registered name, ``module:Class``,
             ``file.py:Class``, a folder written by ``Policy.save``, a zip of Stable-Baselines3.
         recordings: for the names of their experts.
-        playing: how a function or a network is asked.
-        network: what the zip does not say in plain JSON.
+        reading: how.
         fitted_on: hashes of the drives that a function or network was trained on; empty: on none.
 
     Raises:
@@ -58,10 +62,10 @@ def resolve(
         PolicyError: for a policy that cannot be made or read.
     """
     if not isinstance(given, str | Path):
-        return _of_object(given, playing, fitted_on, recordings)
+        return _of_object(given, reading.playing, fitted_on, recordings)
     text, path = str(given), Path(given)
     if path.is_dir():
-        loaded = registry.load(path)
+        loaded = _class(reading.policy_class).load(path) if reading.policy_class else registry.load(path)
         return _frozen(loaded, f"{loaded.name} (saved)", fitted_on, recordings)
     if path.suffix == ".zip":
         if fitted_on is None:
@@ -69,14 +73,14 @@ def resolve(
                 f"{text}: a trained network must say on which drives it was trained: give fitted_on (--fitted-on none, "
                 "train, or a file of scenes)"
             )
-        function, seen = read_network(path, network, playing)
+        function, seen = read_network(path, reading.network, reading.playing)
         name = f"{path.stem} (zip)"
         return _frozen(Agent(function, name, seen), name, fitted_on, recordings)
     meant = {name.casefold().replace("_", " "): name for name in registry.names(recordings)}
     if found := meant.get(text.casefold().replace("-", " ").replace("_", " ")):
-        return Outside(found, lambda: registry.create(found, recordings), builtin=True)
+        return Outside(found, registry.kind(found, recordings), builtin=True)
     if ":" in text:
-        return _of_object(import_object(text), playing, fitted_on, recordings)
+        return _of_object(import_object(text), reading.playing, fitted_on, recordings)
     raise ConfigurationError(
         f"policy {text!r}: expected a name of the leaderboard, module:Class, file.py:Class, a folder written by "
         "Policy.save or a zip of Stable-Baselines3: found none of these"
@@ -107,7 +111,14 @@ def import_object(text: str) -> Any:
         raise PolicyError(f"policy {text!r} cannot be imported ({type(error).__name__}: {error})") from None
 
 
-def make_policy(kind: type[Policy], source: str) -> Policy:
+def _class(text: str) -> type[Policy]:
+    found = import_object(text)
+    if not isinstance(found, type) or not issubclass(found, Policy):
+        raise PolicyError(f"{text}: expected a subclass of Policy, got {found!r}: name the class that saved the folder")
+    return found
+
+
+def make_policy(kind: type[Policy]) -> Policy:
     """A new policy of a stranger's class.
 
     Raises:
@@ -116,9 +127,13 @@ def make_policy(kind: type[Policy], source: str) -> Policy:
     try:
         policy = kind()
     except Exception as error:
-        raise PolicyError(f"{source}: cannot be made without arguments ({type(error).__name__}: {error})") from None
+        raise PolicyError(
+            f"{kind.__name__}: cannot be made without arguments ({type(error).__name__}: {error})"
+        ) from None
     if not isinstance(getattr(policy, "name", None), str) or not policy.name.strip() or not policy.name.isprintable():
-        raise PolicyError(f"{source}: expected a printable text as `name`, got {getattr(policy, 'name', None)!r}")
+        raise PolicyError(
+            f"{kind.__name__}: expected a printable text as `name`, got {getattr(policy, 'name', None)!r}"
+        )
     return policy
 
 
@@ -126,9 +141,7 @@ def _of_object(given: Any, playing: Playing, fitted_on: frozenset[str] | None, r
     if isinstance(given, type):
         if not issubclass(given, Policy):
             raise PolicyError(f"{given.__name__}: expected a subclass of Policy: derive from it")
-        kind = given
-        name = make_policy(kind, kind.__name__).name
-        return Outside(_free(name, recordings), lambda: make_policy(kind, kind.__name__))
+        return Outside(_free(make_policy(given).name, recordings), given)
     if isinstance(given, Policy):
         return _frozen(given, given.name, fitted_on, recordings)
     if callable(given):
@@ -144,7 +157,7 @@ def _frozen(policy: Policy, name: str, fitted_on: frozenset[str] | None, recordi
             f"{name} does not say on which drives it was fitted: give its class, or fit it with `prepare`"
         )
     frozen = Frozen(policy, _free(name, recordings), drives)
-    return Outside(frozen.name, lambda: frozen)
+    return Outside(frozen.name, frozen)
 
 
 def _free(name: str, recordings: Recordings) -> str:

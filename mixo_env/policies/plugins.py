@@ -46,16 +46,33 @@ def make(point: EntryPoint) -> Policy:
     Raises:
         PolicyError: naming the distribution, when it cannot be imported or made, or is no policy of that name.
     """
+    loaded = kind(point)
     where = "distribution {}, policy {}".format(*told(point))
     try:
-        kind = point.load()
-        policy = kind()
+        policy = loaded()
     except Exception as error:
         what = f"{type(error).__name__}: {error}"
         raise PolicyError(f"{where}: cannot be made ({what}): mend or uninstall it") from None
-    if not isinstance(policy, Policy) or getattr(policy, "name", None) != point.name:
-        raise PolicyError(f"{where}: expected a Policy of that name, got {kind!r}: mend or uninstall it")
+    if getattr(policy, "name", None) != point.name:
+        raise PolicyError(f"{where}: expected a Policy of that name, got {loaded!r}: mend or uninstall it")
     return policy
+
+
+def kind(point: EntryPoint) -> type[Policy]:
+    """The class of a plug-in.
+
+    Raises:
+        PolicyError: naming the distribution, when it cannot be imported or is no policy.
+    """
+    where = "distribution {}, policy {}".format(*told(point))
+    try:
+        loaded = point.load()
+    except Exception as error:
+        what = f"{type(error).__name__}: {error}"
+        raise PolicyError(f"{where}: cannot be imported ({what}): mend or uninstall it") from None
+    if not isinstance(loaded, type) or not issubclass(loaded, Policy):
+        raise PolicyError(f"{where}: expected a subclass of Policy, got {loaded!r}: mend or uninstall it")
+    return loaded
 
 
 def told(point: EntryPoint) -> tuple[str, str]:

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
+from importlib.metadata import EntryPoint
 from pathlib import Path
 
-from mixo_env.errors import ConfigurationError, PolicyError, unknown
-from mixo_env.policies import storage
+from mixo_env.errors import ConfigurationError, PolicyError, printable, unknown
+from mixo_env.policies import plugins, storage
 from mixo_env.policies.gate import Mixo
 from mixo_env.policies.linear import Linear
 from mixo_env.policies.match import HighestMatch
 from mixo_env.policies.oracle import MulticameraGT, OracleAll, OracleHull
-from mixo_env.policies.plugins import make, plugins
 from mixo_env.policies.policy import Policy
 from mixo_env.policies.reinforcement import PPO
 from mixo_env.policies.robust import Huber, Mean, Median
@@ -31,7 +31,21 @@ def names(recordings: Recordings) -> tuple[str, ...]:
     of = variants(recordings)
     cameras = [name for camera in manifest.cameras for name in (camera, *(v for v in of if of[v] == camera))]
     own = (*manifest.inertial, *manifest.imported, *cameras, *POLICIES)
-    return (*own, *plugins(own))
+    return (*own, *plugins.plugins(own))
+
+
+def kind(name: str, recordings: Recordings) -> type[Policy]:
+    """The class of a policy.
+
+    Raises:
+        ConfigurationError: for an unknown name.
+        PolicyError: for a plug-in that cannot be imported.
+    """
+    if name in POLICIES:
+        return POLICIES[name]
+    if variants(recordings).get(name, name) in recordings.experts:
+        return Single
+    return plugins.kind(_plugin(name, recordings))
 
 
 def create(name: str, recordings: Recordings) -> Policy:
@@ -46,22 +60,36 @@ def create(name: str, recordings: Recordings) -> Policy:
     alone = variants(recordings).get(name, name)
     if alone in recordings.experts:
         return Single(alone)
+    return plugins.make(_plugin(name, recordings))
+
+
+def _plugin(name: str, recordings: Recordings) -> EntryPoint:
     known = names(recordings)
-    if name in known:
-        return make(plugins(known[: known.index(name)])[name])
-    raise ConfigurationError(unknown("policy", name, known))
+    if name not in known:
+        raise ConfigurationError(unknown("policy", name, known))
+    return plugins.plugins(known[: known.index(name)])[name]
 
 
 def load(folder: Path) -> Policy:
-    """Any saved policy, by the name in its file.
+    """Any saved policy of this package or of an installed distribution, by the name in its file.
+
+    No file decides what is imported: another class reads what it saved by its own ``load``.
 
     Raises:
         PolicyError: when the file is missing or broken, or names no policy known here.
     """
     description, _ = storage.read(folder)
     name = description.policy
-    if name in POLICIES:
-        return POLICIES[name].load(folder)
-    if description.settings == {"expert": name}:
-        return Single.load(folder)
+    if not description.kind:
+        if name in POLICIES:
+            return POLICIES[name].load(folder)
+        if description.settings == {"expert": name}:
+            return Single.load(folder)
+    elif point := plugins.plugins(POLICIES).get(name):
+        return plugins.kind(point).load(folder)
+    else:
+        raise PolicyError(
+            f"{folder} was saved by {printable(description.kind)}, a class that mixo_env does not know and imports "
+            "only when told to: name it if you trust it (--policy-class module:Class or file.py:Class)"
+        )
     raise PolicyError(f"{folder}: {unknown('policy', name, POLICIES)}")

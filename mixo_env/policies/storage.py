@@ -23,14 +23,16 @@ def write(folder: Path, description: Mapping[str, Any], tensors: Mapping[str, ND
     """Write ``folder/policy.safetensors`` atomically; equal input gives equal bytes.
 
     Raises:
-        PolicyError: for tensors of anything but numbers.
+        PolicyError: for tensors of anything but floating-point numbers.
         OutputError: when it cannot be written.
     """
     from safetensors.numpy import save
 
     for name, value in tensors.items():
-        if np.asarray(value).dtype.kind not in "biuf":
-            raise PolicyError(f"tensor {name!r}: expected numbers, got {np.asarray(value).dtype}: nothing is pickled")
+        if np.asarray(value).dtype.kind != "f":
+            raise PolicyError(
+                f"tensor {name!r}: expected floating-point numbers, got {np.asarray(value).dtype}: give these"
+            )
     metadata = {DESCRIPTION: json.dumps(description, sort_keys=True)}
     data = save({name: np.ascontiguousarray(value) for name, value in tensors.items()}, metadata=metadata)
     write_bytes(folder / FILE, data)
@@ -48,12 +50,14 @@ class Description(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         experts: those it weights, in order.
         settings: keyword arguments of its class.
         fitted_on: hashes of the drives it was fitted on.
+        kind: ``module:Class`` of a class that is not of this package; it is never imported because a file says so.
     """
 
     policy: str
     experts: tuple[str, ...]
     settings: dict[str, Any]
     fitted_on: frozenset[str]
+    kind: str = ""
 
 
 def read(folder: Path) -> tuple[Description, dict[str, NDArray[Any]]]:
