@@ -10,7 +10,6 @@ together, for several prices.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,108 +17,27 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from numpy.typing import NDArray
 
-from mixo_env.envs.budget import BudgetReplay
-from mixo_env.envs.stepping import TRUTH
 from mixo_env.envs.wrappers import standardise
-from mixo_env.fusion import least_squares_weights
+from mixo_env.policies.budget import Actions, BudgetPolicy, CameraSet, LinearByPattern, Played, greedy_order, play
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.store import load_recordings
 
-Actor = Callable[[Any], NDArray[np.float32]]
 
-RAW_SCALE = 4.0
+class Network(BudgetPolicy):
+    """A model of Stable-Baselines3."""
 
+    def __init__(self, model: Any, transform: Callable[[Any], Any], options: dict[str, Any]) -> None:
+        """Show it what ``transform`` makes of an observation."""
+        self.options = options
+        self._model, self._transform = model, transform
 
-@dataclass(frozen=True)
-class Point:
-    """One policy on one fold: scores ``(scenes,)`` and mean cost [ms per step]."""
-
-    ate_m: NDArray[np.float64]
-    yaw_rmse_deg: NDArray[np.float64]
-    cost_ms: NDArray[np.float64]
-
-
-class LinearByPattern:
-    """LINEAR for every set of delivering cameras, fitted on training scenes with the stateless increments."""
-
-    def __init__(self, training: Recordings, track: str) -> None:
-        """Fit all sets; the weights of cameras that sleep are 0."""
-        replay = BudgetReplay(training, track=track)
-        self.experts, self.cameras = replay.experts, replay.cameras
-        columns = [self.experts.index(camera) for camera in self.cameras]
-        truth = replay.table[:, TRUTH]
-        self.weights: dict[tuple[bool, ...], NDArray[np.float64]] = {}
-        for pattern in itertools.product((False, True), repeat=len(columns)):
-            silent = [column for column, on in zip(columns, pattern, strict=True) if not on]
-            voting = [j for j in range(len(self.experts)) if j not in silent]
-            weights = np.zeros(len(self.experts))
-            if voting:
-                weights[voting] = least_squares_weights(replay.votes.increments_rad[:, voting], truth)
-            self.weights[pattern] = weights
-
-    def __call__(self, available: NDArray[np.float32]) -> NDArray[np.float64]:
-        """Weights ``(batch, experts)`` for the cameras that deliver."""
-        columns = [self.experts.index(camera) for camera in self.cameras]
-        return np.stack([self.weights[tuple(row[columns] > 0)] for row in available])
+    def act(self, observation: Any) -> Actions:
+        """Its deterministic action."""
+        return self._model.predict(self._transform(observation), deterministic=True)[0]
 
 
-def always(linear: LinearByPattern, on: tuple[str, ...], turning_radps: float = 0.0) -> Actor:
-    """Cameras ``on`` are awake whenever the car turned at ``turning_radps`` or more."""
-    chosen = np.array([camera in on for camera in linear.cameras])
-
-    def act(observation: dict[str, NDArray[np.float32]]) -> NDArray[np.float32]:
-        weights = linear(observation["available"]) / RAW_SCALE
-        awake = chosen & (np.abs(observation["previous_yaw_rate"]) >= turning_radps)
-        return np.concatenate([weights, np.where(awake, 1.0, -1.0)], axis=1).astype(np.float32)
-
-    return act
-
-
-def greedy_order(recordings: Recordings, fold: int, track: str, linear: LinearByPattern) -> list[str]:
-    """Cameras by the yaw error they take away on the training folds, the best first."""
-    order: list[str] = []
-    while len(order) < len(linear.cameras):
-        rest = [camera for camera in linear.cameras if camera not in order]
-        scores = {
-            camera: play(recordings, fold, track, always(linear, (*order, camera)), split="train").yaw_rmse_deg.mean()
-            for camera in rest
-        }
-        order.append(min(scores, key=scores.__getitem__))
-    return order
-
-
-def play(recordings: Recordings, fold: int, track: str, act: Actor, split: str = "test", **options: Any) -> Point:
-    """Every scene of a split once."""
-    options = {"weights": "raw", "raw_scale": RAW_SCALE, "observation": "dict", **options}
-    scenes = sum((scene.fold == fold) == (split == "test") and scene.fold >= 0 for scene in recordings.scenes)
-    env = gym.make_vec(
-        "mixo_env:MixoOdometryBudget-v0",
-        scenes,
-        recordings=recordings,
-        fold=fold,
-        split=split,
-        track=track,
-        order="fixed",
-        **options,
-    )
-    observation, _ = env.reset(seed=0)
-    names = ("ate_m", "yaw_rmse_deg")
-    scores = {name: np.full(scenes, np.nan) for name in names}
-    cost, steps = np.zeros(scenes), np.zeros(scenes)
-    while np.isnan(scores["ate_m"]).any():
-        running = np.isnan(scores["ate_m"])
-        observation, _, _, truncated, info = env.step(act(observation))
-        cost += np.where(running, info.get("cost_ms", 0.0), 0.0)
-        steps += running
-        for i in np.flatnonzero(truncated & running):
-            for name in names:
-                scores[name][i] = info["scores"][name][i]
-    return Point(scores["ate_m"], scores["yaw_rmse_deg"], cost / steps)
-
-
-def learn(recordings: Recordings, fold: int, track: str, price_per_ms: float, steps: int, seed: int) -> Point:
+def learn(recordings: Recordings, fold: int, track: str, price_per_ms: float, study: BudgetStudy) -> BudgetPolicy:
     """PPO at one price, trained on the other folds."""
     import torch
     from stable_baselines3 import PPO
@@ -132,28 +50,28 @@ def learn(recordings: Recordings, fold: int, track: str, price_per_ms: float, st
     transform = standardise(gym.make("mixo_env:MixoOdometryBudget-v0", **same))
     env = MixoVecEnv("MixoOdometryBudget-v0", 64, transform=transform, **same)
     settings: dict[str, Any] = {"n_steps": 64, "batch_size": 1024, "learning_rate": 1e-3, "gamma": 0.8}
-    model = PPO("MlpPolicy", env, seed=seed, policy_kwargs={"log_std_init": -0.5}, device="cpu", **settings)
-    model.learn(steps)
-    actor: Actor = lambda observation: model.predict(transform(observation), deterministic=True)[0]  # noqa: E731
-    return play(recordings, fold, track, actor, **options)
+    model = PPO("MlpPolicy", env, seed=study.seed, policy_kwargs={"log_std_init": -0.5}, device="cpu", **settings)
+    model.learn(study.ppo_steps)
+    return Network(model, transform, options)
 
 
-def policies(recordings: Recordings, fold: int, track: str, study: BudgetStudy) -> Iterator[tuple[str, str, Point]]:
-    """Kind, name and point of every policy on one fold."""
-    training = recordings.select(folds=[f for f in range(4) if f != fold])
+def policies(
+    recordings: Recordings, fold: int, track: str, study: BudgetStudy
+) -> Iterator[tuple[str, str, BudgetPolicy]]:
+    """Kind and name of every policy, fitted without one fold."""
+    training = recordings.select(folds=[scene.fold for scene in recordings.scenes if scene.fold not in (fold, -1)])
     linear = LinearByPattern(training, track)
     cameras = linear.cameras
     for on in ((), *((camera,) for camera in cameras), cameras):
         name = {0: "no camera", len(cameras): "all cameras"}.get(len(on), "".join(on))
-        yield "trivial", name, play(recordings, fold, track, always(linear, on))
-    order = greedy_order(recordings, fold, track, linear)
+        yield "trivial", name, CameraSet(linear, on)
+    order = greedy_order(recordings, track, linear, fold)
     for count in range(1, len(order) + 1):
-        yield "greedy set", f"best {count}", play(recordings, fold, track, always(linear, tuple(order[:count])))
+        yield "greedy set", f"best {count}", CameraSet(linear, order[:count])
     for rate in study.turning_radps:
-        name = f"best 2 above {np.rad2deg(rate):.1f} deg/s"
-        yield "greedy while turning", name, play(recordings, fold, track, always(linear, tuple(order[:2]), rate))
+        yield "greedy while turning", f"best 2 above {np.rad2deg(rate):.1f} deg/s", CameraSet(linear, order[:2], rate)
     for price in study.prices_per_ms if study.ppo_steps else ():
-        yield "PPO", f"price {price:g} per ms", learn(recordings, fold, track, price, study.ppo_steps, study.seed)
+        yield "PPO", f"price {price:g} per ms", learn(recordings, fold, track, price, study)
 
 
 @dataclass(frozen=True)
@@ -179,10 +97,10 @@ class BudgetStudy:
         """Play, print and draw."""
         recordings = load_recordings(self.recordings)
         folds = sorted({scene.fold for scene in recordings.scenes if scene.fold >= 0})
-        points: dict[tuple[str, str], list[Point]] = {}
+        points: dict[tuple[str, str], list[Played]] = {}
         for fold in folds:
-            for kind, name, point in policies(recordings, fold, self.track, self):
-                points.setdefault((kind, name), []).append(point)
+            for kind, name, policy in policies(recordings, fold, self.track, self):
+                points.setdefault((kind, name), []).append(play(policy, recordings, self.track, fold=fold))
         rows = []
         for (kind, name), parts in points.items():
             cost, yaw, ate = (

@@ -131,14 +131,16 @@ def _row_json(row: Row) -> dict[str, Any]:
     }
 
 
-def _comparisons_json(comparisons: Comparisons) -> dict[str, Any]:
-    def plain(found: Comparison) -> dict[str, Any]:
-        return asdict(found) | {"share": found.share}
+def comparison_json(found: Comparison) -> dict[str, Any]:
+    """Every number of a paired difference."""
+    return asdict(found) | {"share": found.share}
 
+
+def _comparisons_json(comparisons: Comparisons) -> dict[str, Any]:
     return {
         "logs": comparisons.logs,
-        "confirmatory": [plain(found) for found in comparisons.confirmatory],
-        "exploratory": [plain(found) for found in comparisons.exploratory],
+        "confirmatory": [comparison_json(found) for found in comparisons.confirmatory],
+        "exploratory": [comparison_json(found) for found in comparisons.exploratory],
         "letters": dict(comparisons.letters),
     }
 

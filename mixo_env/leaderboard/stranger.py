@@ -10,7 +10,7 @@ from typing import Any
 from mixo_env.errors import ConfigurationError, unknown
 from mixo_env.leaderboard.board import Leaderboard, build, requested
 from mixo_env.leaderboard.comparisons import Comparison
-from mixo_env.leaderboard.exports import to_json
+from mixo_env.leaderboard.exports import comparison_json, to_json
 from mixo_env.leaderboard.rows import Row
 from mixo_env.leaderboard.sentences import p_text
 from mixo_env.policies.agent import Frozen
@@ -72,8 +72,9 @@ class Scored:
         ]
 
     def to_json(self) -> dict[str, Any]:
-        """Every number, as `mixo benchmark` writes it, with the policy's name."""
-        return {"policy": self.name} | to_json(self.board)
+        """Every number, as `mixo benchmark` writes it, with the policy's name and its own differences."""
+        differences = [comparison_json(comparison) for comparison in self.differences]
+        return {"policy": self.name, "differences": differences} | to_json(self.board)
 
 
 def score(
