@@ -25,6 +25,7 @@ from mixo_env.experts.expert import State
 from mixo_env.metrics.absolute import absolute_errors_se2, scene_absolute
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.schema import VehicleConstants
+from mixo_env.trajectory.planar import PlanarPoses
 from tests.synthetic import synthetic_recordings
 
 RECORDINGS = synthetic_recordings(scenes=8, steps=40)
@@ -141,7 +142,7 @@ def test_last_info_scores_the_scene() -> None:
     rows = RECORDINGS.rows("scene-2001")
     truth = [rows[f"truth.{c}"] for c in ("x_m", "y_m", "yaw_rad")]
     estimate = fusion.dead_reckon(fused, rows["distance_m"][1:], start=tuple(float(t[0]) for t in truth))
-    expected = scene_absolute(absolute_errors_se2(*truth, *estimate))
+    expected = scene_absolute(absolute_errors_se2(PlanarPoses(*truth), PlanarPoses(*estimate)))
     assert info["scores"]["scene"] == "scene-2001"
     np.testing.assert_allclose(info["scores"]["ate_m"], expected.translation_m[0], rtol=1e-9)
     np.testing.assert_allclose(info["scores"]["ate_deg"], expected.rotation_deg[0], rtol=1e-9)

@@ -8,6 +8,7 @@ from mixo_env.errors import ConfigurationError
 from mixo_env.fusion import dead_reckon
 from mixo_env.metrics.absolute import absolute_errors_se2, scene_absolute
 from mixo_env.recordings.schema import TRACKS
+from mixo_env.trajectory.planar import PlanarPoses
 from tests.synthetic import synthetic_recordings
 
 RECORDINGS = synthetic_recordings(scenes=4, steps=40)
@@ -46,7 +47,7 @@ def test_poses_equal_dead_reckoning() -> None:
         assert state["yaw_rad"] == np.cumsum(increments)[-1]
         np.testing.assert_allclose([state["x_m"], state["y_m"]], [x[-1] - x[0], y[-1] - y[0]], atol=1e-9)
         truth = [rows[f"truth.{c}"] for c in ("x_m", "y_m", "yaw_rad")]
-        ate = scene_absolute(absolute_errors_se2(*truth, x, y, yaw))
+        ate = scene_absolute(absolute_errors_se2(PlanarPoses(*truth), PlanarPoses(x, y, yaw)))
         scores = {name: values[entry] for name, values in replay.scores().items()}
         np.testing.assert_allclose([scores["ate_m"], scores["ate_deg"]], [ate.translation_m[0], ate.rotation_deg[0]])
         rmse = np.sqrt(np.mean((increments - rows["truth.yaw_increment_rad"][1:]) ** 2))

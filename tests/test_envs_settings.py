@@ -299,6 +299,16 @@ def test_a_replay_reset_from_outside_leaves_no_stale_array(env_id: str) -> None:
 
 
 @pytest.mark.parametrize("env_id", IDS)
+def test_a_replay_reset_from_outside_leaves_no_weights_of_the_old_scene(env_id: str) -> None:
+    env = make(env_id, split="all", render_mode="ansi")
+    env.reset(seed=0)
+    env.step(np.ones_like(env.action_space.sample()))
+    assert env.session.weights.any()
+    env.session.replay.reset([2])
+    assert not env.session.weights.any()
+
+
+@pytest.mark.parametrize("env_id", IDS)
 def test_flat_scores_are_those_of_the_dictionary(env_id: str) -> None:
     env = make(env_id)
     env.reset(seed=0)

@@ -13,6 +13,7 @@ from mixo_env.metrics.absolute import absolute_errors, absolute_errors_se2, scen
 from mixo_env.metrics.aggregate import share_above, statistics
 from mixo_env.metrics.alignment import Alignment, NoScaleError, align, align_one_of_many
 from mixo_env.trajectory import Trajectory
+from mixo_env.trajectory.planar import PlanarPoses
 from tests.trajectories import disturbed, drive, literal_angle_deg, moved, random_rotation
 
 
@@ -172,13 +173,14 @@ def test_rotation_error_is_the_angle_of_the_difference():
 def test_planar_errors_equal_spatial_ones_and_hand_values():
     rng = np.random.default_rng(6)
     truth, estimate = rng.standard_normal((3, 50)) * 5, rng.standard_normal((3, 50)) * 5
-    planar = absolute_errors_se2(*truth, *estimate)
+    planar = absolute_errors_se2(PlanarPoses(*truth), PlanarPoses(*estimate))
     spatial = absolute_errors(Trajectory.from_planar(*truth), Trajectory.from_planar(*estimate))
     np.testing.assert_allclose(planar.translation_m, spatial.translation_m)
     np.testing.assert_allclose(planar.rotation_deg, spatial.rotation_deg, atol=1e-9)
     zero = np.zeros(3)
     errors = absolute_errors_se2(
-        zero, zero, zero, np.array([3.0, 0, 0]), np.array([4.0, 0, 1]), np.array([0.1, 0, 7.0])
+        PlanarPoses(zero, zero, zero),
+        PlanarPoses(np.array([3.0, 0, 0]), np.array([4.0, 0, 1]), np.array([0.1, 0, 7.0])),
     )
     np.testing.assert_allclose(errors.translation_m, [5, 0, 1])
     np.testing.assert_allclose(errors.rotation_deg, np.rad2deg([0.1, 0, 7.0 - 2 * np.pi]))

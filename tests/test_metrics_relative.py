@@ -15,6 +15,7 @@ from mixo_env.metrics.aggregate import mean_of_length_means, per_length, pooled,
 from mixo_env.metrics.pairs import PairRule, Pairs, find_end_pairs, find_kitti_pairs, find_pairs, path_length
 from mixo_env.metrics.relative import relative_errors, relative_errors_se2, relative_samples_se2
 from mixo_env.trajectory import Trajectory, read_trajectory
+from mixo_env.trajectory.planar import PlanarPoses
 from tests.trajectories import (
     disturbed,
     drive,
@@ -225,13 +226,14 @@ def test_planar_path_equals_the_spatial_one():
     yaw = np.cumsum(0.05 * rng.standard_normal(150)) + 3.0
     x, y = np.cumsum(np.cos(yaw)), np.cumsum(np.sin(yaw))
     other = (x + rng.standard_normal(150), y + rng.standard_normal(150), yaw + 0.1 * rng.standard_normal(150) + 12.0)
-    planar = relative_samples_se2(x, y, yaw, *other, PairRule(LENGTHS), offsets)
+    both = PlanarPoses(x, y, yaw), PlanarPoses(*other)
+    planar = relative_samples_se2(*both, PairRule(LENGTHS), offsets)
     truth, estimate = Trajectory.from_planar(x, y, yaw), Trajectory.from_planar(*other)
     pairs = find_pairs(path_length(truth.positions_m, offsets), PairRule(LENGTHS), offsets)
     spatial = relative_errors(truth, estimate, pairs)
     np.testing.assert_allclose(planar.translation_m, spatial.translation_m, atol=1e-9)
     np.testing.assert_allclose(planar.rotation_deg, spatial.rotation_deg, atol=1e-9)
-    scaled = relative_errors_se2(x, y, yaw, *other, pairs, scale=np.array([1.1, 0.9]))
+    scaled = relative_errors_se2(*both, pairs, scale=np.array([1.1, 0.9]))
     np.testing.assert_allclose(
         scaled.translation_m, relative_errors(truth, estimate, pairs, scale=np.array([1.1, 0.9])).translation_m
     )

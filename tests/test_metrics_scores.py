@@ -13,6 +13,7 @@ from mixo_env.metrics.bootstrap import holm, interval_over_groups, paired_differ
 from mixo_env.metrics.increments import increment_score, increments, skill
 from mixo_env.metrics.tracks import count_lost_tracks, longest_true_run
 from mixo_env.metrics.uncertainty import uncertainty_score
+from mixo_env.trajectory.planar import PlanarPoses
 
 INITIALISING, TRACKING, LOST, NO_IMAGE = range(4)
 
@@ -73,7 +74,10 @@ def test_skill_is_measured_scene_by_scene():
 
 
 def test_position_error_splits_along_and_across_the_heading():
-    along, across = split_error(np.zeros(2), np.zeros(2), np.array([0.0, np.pi / 2]), np.array([3.0, -2.0]), np.ones(2))
+    along, across = split_error(
+        PlanarPoses(np.zeros(2), np.zeros(2), np.array([0.0, np.pi / 2])),
+        PlanarPoses(np.array([3.0, -2.0]), np.ones(2), np.zeros(2)),
+    )
     np.testing.assert_allclose(along, [3.0, 1.0], atol=1e-12)
     np.testing.assert_allclose(across, [1.0, 2.0], atol=1e-12)
 
@@ -105,7 +109,8 @@ def test_anatomy_finds_outliers_and_lost_steps():
     truth = np.zeros(n)
     yaw = np.concatenate([np.cumsum(step[:250]), np.cumsum(step[250:])])
     time = np.tile(np.arange(250) / 12, 2)
-    result = error_anatomy(truth, truth, truth, truth + 1, truth, yaw, time, np.array([0, 250, 500]), lost)
+    true = PlanarPoses(truth, truth, truth)
+    result = error_anatomy(true, PlanarPoses(truth + 1, truth, yaw), time, np.array([0, 250, 500]), lost)
     assert result.along_track_rmse_m == 1.0
     assert result.cross_track_rmse_m == 0.0
     assert result.all_lost_share == pytest.approx(2 / 498)  # row 0 ends no step
@@ -113,7 +118,7 @@ def test_anatomy_finds_outliers_and_lost_steps():
     assert 2 / 498 <= result.outlier_share < 0.02
     assert result.outlier_energy > 0.99
     assert set(result.bias_deg_per_s) == {1.0, 5.0, 20.0}
-    assert np.isnan(error_anatomy(truth, truth, truth, truth, truth, yaw, time, np.array([0, 250, 500])).all_lost_share)
+    assert np.isnan(error_anatomy(true, PlanarPoses(truth, truth, yaw), time, np.array([0, 250, 500])).all_lost_share)
 
 
 def test_true_uncertainties_are_calibrated():

@@ -22,6 +22,7 @@ from mixo_env.metrics.tracks import count_lost_tracks
 from mixo_env.metrics.uncertainty import uncertainty_score
 from mixo_env.scoring.score_figures import COLOURS, TRUTH_COLOUR, save
 from mixo_env.trajectory import Trajectory
+from mixo_env.trajectory.planar import PlanarPoses
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -160,8 +161,8 @@ def lost_tracks() -> Figure:
 def anatomy() -> Figure:
     """A position error split along and across the true heading."""
     truth, estimate = _drive()
-    (x, y, yaw), (u, v, _) = truth.planar(), estimate.planar()
-    along, across = split_error(x, y, yaw, u, v)
+    (x, y, yaw), (u, v, other_yaw) = truth.planar(), estimate.planar()
+    along, across = split_error(PlanarPoses(x, y, yaw), PlanarPoses(u, v, other_yaw))
     k = 30
     figure, axes = _figure(6.0, 3.6)
     _paths(axes, truth, estimate)

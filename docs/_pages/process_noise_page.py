@@ -27,7 +27,7 @@ from mixo_env.experts.inertial import (
     ProcessNoise,
     grade_inputs,
 )
-from mixo_env.files import write_text
+from mixo_env.files import atomic_path, write_text
 from mixo_env.leaderboard.board import build
 from mixo_env.leaderboard.rows import Score
 from mixo_env.leaderboard.sentences import conventions
@@ -321,7 +321,8 @@ class ProcessNoisePage:
             conventions="\n".join(f"* {line}" for line in conventions(recorded)),
         )
         (self.out / PICTURE).parent.mkdir(parents=True, exist_ok=True)
-        draw(outcomes).savefig(self.out / PICTURE, dpi=110)
+        with atomic_path(self.out / PICTURE) as temporary:
+            draw(outcomes).savefig(temporary, dpi=110, format="png")
         write_text(self.out / "inertial.md", text)
         print(f"wrote {self.out / 'inertial.md'} and {self.out / PICTURE}")
         return 0

@@ -27,6 +27,7 @@ from mixo_env.metrics.association import match
 from mixo_env.metrics.pairs import IntArray, PairRule, find_pairs, path_length
 from mixo_env.metrics.relative import relative_errors, relative_samples_se2
 from mixo_env.trajectory import Trajectory, read_trajectory, write_tum
+from mixo_env.trajectory.planar import PlanarPoses
 
 RULE = PairRule((10.0, 20.0, 30.0, 50.0, 75.0, 100.0, 150.0, 200.0), tolerance=0.2, min_start_spacing_m=0.0)
 RATE_HZ = 12.0
@@ -122,8 +123,9 @@ def score_spatial(truth: Trajectory, estimate: Trajectory, offsets: IntArray) ->
 
 def score_planar(truth: Planar, estimate: Planar, offsets: IntArray) -> object:
     """The same for planar poses."""
-    absolute = scene_absolute(absolute_errors_se2(*truth, *estimate), offsets)
-    return absolute, per_length(relative_samples_se2(*truth, *estimate, RULE, offsets))
+    both = PlanarPoses(*truth), PlanarPoses(*estimate)
+    absolute = scene_absolute(absolute_errors_se2(*both), offsets)
+    return absolute, per_length(relative_samples_se2(*both, RULE, offsets))
 
 
 def write_scenes(folder: Path, truth: Trajectory, estimate: Trajectory, offsets: IntArray) -> list[tuple[Path, Path]]:

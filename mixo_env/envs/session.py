@@ -48,7 +48,6 @@ class Session:
         terms: names of the rows of a step's report after REPORT.
         observation_space: of one environment.
         images: of the cameras, if a ``dataroot`` was given.
-        weights: ``(batch, experts)`` of the last step; kept up to date only where trajectories are kept.
     """
 
     switchable: ClassVar[bool] = False
@@ -81,7 +80,7 @@ class Session:
                 picture = spaces.Box(0, 255, THUMBNAIL, dtype=np.uint8)
                 pictures = dict.fromkeys(self.replay.cameras, picture)
                 self.observation_space = spaces.Dict({"state": layout.box(), **pictures})
-        self.weights = np.zeros((batch, len(self.replay.experts)))
+        self._weights = np.zeros((batch, len(self.replay.experts)))
         self._names = np.array([scene.name for scene in self.recordings.scenes], dtype=object)
         self._next = 0
         self._keep_trajectories = keep_trajectories
@@ -89,6 +88,12 @@ class Session:
         self._flat = isinstance(self.observation_space, spaces.Box)
         self._report_shape = len(REPORT) + len(self.terms), batch
         self._flat_shape = batch, layout.width
+
+    @property
+    def weights(self) -> NDArray[np.float64]:
+        """``(batch, experts)`` of the last step, zero before a scene's first; only with ``keep_trajectories``."""
+        # Asked of the replay, not remembered: whoever restarts a scene there leaves no weights of the old one here.
+        return np.where(self.replay.state["step"][:, None] > 0, self._weights, 0.0)
 
     def rewind(self) -> None:
         """Let ``order="fixed"`` begin again with the first scene."""
@@ -134,8 +139,6 @@ class Session:
         else:
             scenes = rng.integers(len(self.recordings), size=len(which))
         self.replay.restart(which, scenes, pause=pause)
-        if self._keep_trajectories:
-            self.weights[which] = 0.0
 
     def play(self, actions: NDArray[np.float32]) -> tuple[Observation, NDArray[np.float64], int]:
         """One step of every scene that has not ended and is not paused.
@@ -157,7 +160,7 @@ class Session:
         if ended < 0:
             self.rule.complain(actions)
         if voting is not None:
-            self.weights = self.rule.weights(actions, voting)
+            self._weights = self.rule.weights(actions, voting)
         if self.switches:
             self._switch(actions, report, flat)
         return (flat if self._flat else self._dressed(flat)), report, ended

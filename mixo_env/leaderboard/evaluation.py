@@ -25,6 +25,7 @@ from mixo_env.policies.policy import Policy
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.schema import VehicleConstants
 from mixo_env.recordings.vehicles import travelled_m
+from mixo_env.trajectory.planar import PlanarPoses
 
 FloatArray = NDArray[np.float64]
 
@@ -41,15 +42,6 @@ class Motion:
     yaw_increment_rad: FloatArray
     distance_m: FloatArray
     course_offset_rad: FloatArray
-
-
-@dataclass(frozen=True)
-class Poses:
-    """Planar poses ``(rows,)`` in the map frame; yaw is not wrapped."""
-
-    x_m: FloatArray
-    y_m: FloatArray
-    yaw_rad: FloatArray
 
 
 def rollout(policy: Policy, recordings: Recordings, track: str, *, privileged: bool = False) -> Motion:
@@ -106,9 +98,9 @@ FLOORS = {"PERFECT YAW": perfect_yaw, "PERFECT YAW + TRUE DISTANCE": perfect_yaw
 """Privileged rows that stand in every table; they choose no weights, so they are no policies."""
 
 
-def poses(motion: Motion, start: Poses, offsets: NDArray[np.int64]) -> Poses:
+def poses(motion: Motion, start: PlanarPoses, offsets: NDArray[np.int64]) -> PlanarPoses:
     """Dead reckoning (eqs. 4 and 1) of every scene from its first true pose."""
-    out = Poses(*(np.empty(offsets[-1]) for _ in range(3)))
+    out = PlanarPoses(*(np.empty(offsets[-1]) for _ in range(3)))
     for first, stop in itertools.pairwise(offsets.tolist()):
         x, y, yaw = dead_reckon(
             motion.yaw_increment_rad[first + 1 : stop],
@@ -169,7 +161,7 @@ class Course:
         """Prepare one of the truths of ``recordings``; ``rule`` chooses the pieces of path (default: headline's)."""
         self.offsets = recordings.offsets
         x, y, yaw = (recordings[f"{truth}.{name}"].astype(np.float64) for name in ("x_m", "y_m", "yaw_rad"))
-        self.poses = Poses(x, y, yaw)
+        self.poses = PlanarPoses(x, y, yaw)
         self._rule = rule or PairRule()
         self._increments = np.diff(yaw, prepend=np.nan)
         self._increments[self.offsets[:-1]] = np.nan
@@ -192,12 +184,11 @@ class Course:
     def measure(self, motion: Motion) -> Errors:
         """Errors of a motion that covers every scene, integrated from the true first poses, without alignment."""
         true, estimate = self.poses, poses(motion, self.poses, self.offsets)
-        both = (true.x_m, true.y_m, true.yaw_rad, estimate.x_m, estimate.y_m, estimate.yaw_rad)
         yaw_error = np.degrees(motion.yaw_increment_rad - self._increments)
         steps = np.diff(self.offsets) - 1
         return Errors(
-            absolute=scene_absolute(absolute_errors_se2(*both), self.offsets),
-            relative=relative_errors_se2(*both, self.pairs, end_length=self._rule.end_length),
+            absolute=scene_absolute(absolute_errors_se2(true, estimate), self.offsets),
+            relative=relative_errors_se2(true, estimate, self.pairs, end_length=self._rule.end_length),
             squared_yaw_increment_deg2=np.add.reduceat(np.nan_to_num(yaw_error) ** 2, self.offsets[:-1]),
             steps=steps,
         )

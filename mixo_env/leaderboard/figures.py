@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from mixo_env.experts.expert import State
 from mixo_env.files import atomic_path
 from mixo_env.leaderboard.board import Leaderboard, Table
-from mixo_env.leaderboard.evaluation import Poses, poses
+from mixo_env.leaderboard.evaluation import poses
 from mixo_env.leaderboard.rows import Row
+from mixo_env.trajectory.planar import PlanarPoses
 
 PREFERRED_TRACK = "CONSUMER"
 SCENES = 4
@@ -166,7 +167,7 @@ def _most_winding_of_different_logs(board: Leaderboard, rows: list[Row]) -> list
     return sorted((chosen + [i for i in order if i not in chosen])[:SCENES])
 
 
-def _from_start(way: Poses, truth: Poses, rows: slice) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _from_start(way: PlanarPoses, truth: PlanarPoses, rows: slice) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Right and forward [m] as seen from the true first pose."""
     dx, dy = way.x_m[rows] - truth.x_m[rows][0], way.y_m[rows] - truth.y_m[rows][0]
     cos, sin = np.cos(truth.yaw_rad[rows][0]), np.sin(truth.yaw_rad[rows][0])

@@ -15,11 +15,12 @@ import numpy as np
 
 from mixo_env.leaderboard.board import choose
 from mixo_env.leaderboard.crossvalidation import CrossValidation, Run
-from mixo_env.leaderboard.evaluation import FLOORS, Course, Poses, poses
+from mixo_env.leaderboard.evaluation import FLOORS, Course, poses
 from mixo_env.policies.registry import names as policy_names
 from mixo_env.recordings.collection import Recordings
 from mixo_env.trajectory import Trajectory, write_kitti, write_tum
 from mixo_env.trajectory.axes import BODY_AXES
+from mixo_env.trajectory.planar import PlanarPoses
 
 Format = Literal["tum", "kitti"]
 
@@ -90,7 +91,7 @@ def folder_name(row: str) -> str:
     return re.sub(r"[^\w+-]+", "_", row).strip("_")
 
 
-def _scenes(row: str, way: Poses, tested: np.ndarray, recordings: Recordings) -> Iterator[Way]:
+def _scenes(row: str, way: PlanarPoses, tested: np.ndarray, recordings: Recordings) -> Iterator[Way]:
     times_s = 1e-6 * recordings["timestamp_us"]
     for i in np.flatnonzero(tested):
         rows = slice(*recordings.offsets[i : i + 2])

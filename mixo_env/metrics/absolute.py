@@ -10,6 +10,7 @@ from mixo_env.geometry import FloatArray, angle_between_quaternions_rad, wrap_an
 from mixo_env.metrics.aggregate import scene_rmse
 from mixo_env.metrics.pairs import IntArray, scene_offsets
 from mixo_env.trajectory import Trajectory
+from mixo_env.trajectory.planar import PlanarPoses
 
 
 @dataclass(frozen=True)
@@ -35,17 +36,10 @@ def absolute_errors(truth: Trajectory, estimate: Trajectory) -> AbsoluteErrors:
     return AbsoluteErrors(translation_m, np.rad2deg(rotation_rad))
 
 
-def absolute_errors_se2(
-    truth_x_m: FloatArray,
-    truth_y_m: FloatArray,
-    truth_yaw_rad: FloatArray,
-    x_m: FloatArray,
-    y_m: FloatArray,
-    yaw_rad: FloatArray,
-) -> AbsoluteErrors:
-    """The same for planar poses ``(N,)`` each, without alignment: the fast path for recordings."""
-    translation_m = np.hypot(truth_x_m - x_m, truth_y_m - y_m)
-    return AbsoluteErrors(translation_m, np.rad2deg(np.abs(wrap_angle_rad(truth_yaw_rad - yaw_rad))))
+def absolute_errors_se2(truth: PlanarPoses, estimate: PlanarPoses) -> AbsoluteErrors:
+    """The same for planar poses, without alignment: the fast path for recordings."""
+    translation_m = np.hypot(truth.x_m - estimate.x_m, truth.y_m - estimate.y_m)
+    return AbsoluteErrors(translation_m, np.rad2deg(np.abs(wrap_angle_rad(truth.yaw_rad - estimate.yaw_rad))))
 
 
 def scene_absolute(errors: AbsoluteErrors, offsets: IntArray | None = None) -> SceneAbsolute:

@@ -10,6 +10,7 @@ import numpy as np
 from mixo_env.geometry import MAD_TO_SIGMA, FloatArray, wrap_angle_rad
 from mixo_env.metrics.pairs import IntArray, scene_offsets
 from mixo_env.metrics.tracks import BoolArray
+from mixo_env.trajectory.planar import PlanarPoses
 
 BIAS_WINDOWS_S = (1.0, 5.0, 20.0)
 OUTLIER_SIGMAS = 3.0
@@ -39,12 +40,10 @@ class ErrorAnatomy:
     all_lost_energy: float
 
 
-def split_error(
-    truth_x_m: FloatArray, truth_y_m: FloatArray, truth_yaw_rad: FloatArray, x_m: FloatArray, y_m: FloatArray
-) -> tuple[FloatArray, FloatArray]:
+def split_error(truth: PlanarPoses, estimate: PlanarPoses) -> tuple[FloatArray, FloatArray]:
     """Position error ``(N,)`` along (forward positive) and across (left positive) the true heading [m]."""
-    dx, dy = x_m - truth_x_m, y_m - truth_y_m
-    cos, sin = np.cos(truth_yaw_rad), np.sin(truth_yaw_rad)
+    dx, dy = estimate.x_m - truth.x_m, estimate.y_m - truth.y_m
+    cos, sin = np.cos(truth.yaw_rad), np.sin(truth.yaw_rad)
     return cos * dx + sin * dy, cos * dy - sin * dx
 
 
@@ -77,32 +76,24 @@ def yaw_bias_deg_per_s(
 
 
 def error_anatomy(
-    truth_x_m: FloatArray,
-    truth_y_m: FloatArray,
-    truth_yaw_rad: FloatArray,
-    x_m: FloatArray,
-    y_m: FloatArray,
-    yaw_rad: FloatArray,
+    truth: PlanarPoses,
+    estimate: PlanarPoses,
     time_s: FloatArray,
     offsets: IntArray | None = None,
     all_lost: BoolArray | None = None,
 ) -> ErrorAnatomy:
-    """Take the errors of planar poses ``(N,)`` apart.
+    """Take the errors of planar poses apart.
 
     Args:
-        truth_x_m: ``(N,)`` ground truth.
-        truth_y_m: ``(N,)`` ground truth.
-        truth_yaw_rad: ``(N,)`` ground truth.
-        x_m: ``(N,)`` estimate.
-        y_m: ``(N,)`` estimate.
-        yaw_rad: ``(N,)`` estimate.
+        truth: ``N`` poses.
+        estimate: the matching ``N`` poses.
         time_s: times, increasing within a scene.
         offsets: ``(scenes + 1,)`` first row of each scene and the end; ``None``: one scene.
         all_lost: ``(N,)`` no camera is TRACKING in the step that ends at this pose.
     """
-    offsets = scene_offsets(len(truth_x_m), offsets)
-    along, across = split_error(truth_x_m, truth_y_m, truth_yaw_rad, x_m, y_m)
-    yaw_error = wrap_angle_rad(yaw_rad - truth_yaw_rad)
+    offsets = scene_offsets(len(truth), offsets)
+    along, across = split_error(truth, estimate)
+    yaw_error = wrap_angle_rad(estimate.yaw_rad - truth.yaw_rad)
     step_end = np.ones(len(yaw_error), dtype=bool)
     step_end[offsets[:-1][np.diff(offsets) > 0]] = False
     step_error = wrap_angle_rad(np.diff(yaw_error, prepend=0.0))[step_end]

@@ -25,6 +25,7 @@ from mixo_env.geometry import (
 )
 from mixo_env.metrics.pairs import IntArray, PairRule, Pairs, find_pairs, path_length
 from mixo_env.trajectory import Trajectory
+from mixo_env.trajectory.planar import PlanarPoses
 
 _COMPILE_ABOVE = 50_000
 """Pieces from which compiling (or loading) the arithmetic is cheaper than interpreting it: about half a second."""
@@ -83,63 +84,49 @@ def relative_errors(
 
 
 def relative_errors_se2(
-    truth_x_m: FloatArray,
-    truth_y_m: FloatArray,
-    truth_yaw_rad: FloatArray,
-    x_m: FloatArray,
-    y_m: FloatArray,
-    yaw_rad: FloatArray,
+    truth: PlanarPoses,
+    estimate: PlanarPoses,
     pairs: Pairs,
     *,
     scale: float | FloatArray = 1.0,
     end_length: Literal["nominal", "actual"] = "nominal",
 ) -> RelativeSamples:
-    """The same for planar poses ``(N,)`` each: the fast path for recordings. Yaw may be unwrapped or not.
+    """The same for planar poses: the fast path for recordings. Yaw may be unwrapped or not.
 
     Pairs depend on the truth alone: find them once and reuse them for every method.
     """
-    truth = truth_x_m + 1j * truth_y_m
-    estimate = (x_m + 1j * y_m) * _per_row(scale, pairs, len(truth))[..., 0]
-    yaw_error = truth_yaw_rad - yaw_rad
+    true_m = truth.x_m + 1j * truth.y_m
+    estimate_m = (estimate.x_m + 1j * estimate.y_m) * _per_row(scale, pairs, len(truth))[..., 0]
+    yaw_error = truth.yaw_rad - estimate.yaw_rad
     turn = np.exp(1j * yaw_error)
     translation_m, rotation_rad = np.empty(len(pairs.start)), np.empty(len(pairs.start))
     for chunk in _chunks(len(pairs.start)):
         i, j = pairs.start[chunk], pairs.end[chunk]
         translation_m[chunk] = np.abs(
-            truth.take(j) - truth.take(i) - turn.take(i) * (estimate.take(j) - estimate.take(i))
+            true_m.take(j) - true_m.take(i) - turn.take(i) * (estimate_m.take(j) - estimate_m.take(i))
         )
         rotation_rad[chunk] = np.abs(wrap_angle_rad(yaw_error.take(j) - yaw_error.take(i)))
     return _samples(pairs, translation_m, np.rad2deg(rotation_rad), end_length)
 
 
 def relative_samples_se2(
-    truth_x_m: FloatArray,
-    truth_y_m: FloatArray,
-    truth_yaw_rad: FloatArray,
-    x_m: FloatArray,
-    y_m: FloatArray,
-    yaw_rad: FloatArray,
+    truth: PlanarPoses,
+    estimate: PlanarPoses,
     rule: PairRule | None = None,
     offsets: IntArray | None = None,
 ) -> RelativeSamples:
     """Pairs and errors of planar poses in one call (one method only; otherwise reuse the pairs).
 
     Args:
-        truth_x_m: ``(N,)`` ground truth.
-        truth_y_m: ``(N,)`` ground truth.
-        truth_yaw_rad: ``(N,)`` ground truth.
-        x_m: ``(N,)`` estimate.
-        y_m: ``(N,)`` estimate.
-        yaw_rad: ``(N,)`` estimate.
+        truth: ``N`` poses.
+        estimate: the matching ``N`` poses.
         rule: lengths and acceptance; ``None``: the headline's.
         offsets: ``(scenes + 1,)`` first row of each scene and the end; ``None``: one scene.
     """
     rule = rule or PairRule()
-    distance_m = path_length(np.stack([truth_x_m, truth_y_m], axis=-1), offsets)
+    distance_m = path_length(np.stack([truth.x_m, truth.y_m], axis=-1), offsets)
     pairs = find_pairs(distance_m, rule, offsets)
-    return relative_errors_se2(
-        truth_x_m, truth_y_m, truth_yaw_rad, x_m, y_m, yaw_rad, pairs, end_length=rule.end_length
-    )
+    return relative_errors_se2(truth, estimate, pairs, end_length=rule.end_length)
 
 
 def _measure(

@@ -29,6 +29,7 @@ from mixo_env.metrics.relative import RelativeSamples, relative_errors
 from mixo_env.trajectory import Trajectory
 from mixo_env.trajectory.formats import TrajectoryFiles
 from mixo_env.trajectory.layout import pair_scenes
+from mixo_env.trajectory.planar import PlanarPoses
 
 
 @dataclass(frozen=True)
@@ -181,15 +182,15 @@ class MethodScore:
     def _planar(self) -> dict[str, Any]:
         """Scores of what is seen from above: single yaw steps and error anatomy; rates need times."""
         truth, estimate, offsets = self.matched.truth, self.aligned, self.matched.offsets
-        true_planar, planar = truth.planar(), estimate.planar()
-        true_steps, step_offsets = increments(true_planar[2], offsets)
-        steps, _ = increments(planar[2], offsets)
+        true_planar, planar = PlanarPoses(*truth.planar()), PlanarPoses(*estimate.planar())
+        true_steps, step_offsets = increments(true_planar.yaw_rad, offsets)
+        steps, _ = increments(planar.yaw_rad, offsets)
         times = truth.timestamps_s
         clock = np.arange(len(truth), dtype=np.float64) if times is None else times
         inside = np.ones(len(truth), dtype=bool)
         inside[offsets[:-1]] = False
         yaw = asdict(increment_score(true_steps, steps, np.diff(clock, prepend=0.0)[inside], step_offsets))
-        anatomy = asdict(error_anatomy(*true_planar, *planar, clock, offsets))
+        anatomy = asdict(error_anatomy(true_planar, planar, clock, offsets))
         anatomy["bias_deg_per_s"] = {f"{window:g}": value for window, value in anatomy["bias_deg_per_s"].items()}
         del anatomy["all_lost_share"], anatomy["all_lost_energy"]  # files know no camera states
         if times is None:  # steps then count as equally long; rates have no unit
