@@ -10,6 +10,9 @@ which, and reads the result.
 
 from __future__ import annotations
 
+import hashlib
+import json
+import shutil
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -118,6 +121,21 @@ def leaderboard_scores(recordings: Recordings, choice: Choice) -> Scores:
     return {table.track: table_scores(table) for table in board.tables}
 
 
+def kept_scores(recordings: Recordings, choice: Choice, folder: Path) -> Scores:
+    """The scores of one variant, read if an interrupted run of the study has left them in ``folder``.
+
+    The name of the file is a hash of the scenes' values and of the choice, not of the code: whoever changes a policy
+    empties the folder.
+    """
+    values = {scene.name: scene.values_hash for scene in recordings.scenes}
+    key = json.dumps([sorted(choice.plain), sorted(choice.staged), values], sort_keys=True)
+    path = folder / f"{hashlib.sha256(key.encode()).hexdigest()[:16]}.json"
+    if not path.exists():
+        folder.mkdir(parents=True, exist_ok=True)
+        stored.save(path, leaderboard_scores(recordings, choice))
+    return cast("Scores", stored.load(path))
+
+
 def kendall_tau(first: FloatArray, second: FloatArray) -> float:
     """Tau-b of two lists of scores ``(rows,)``: 1 for the same order, -1 for the reverse; ties count for neither."""
     one, two = (np.sign(scores[:, None] - scores[None, :]) for scores in (first, second))
@@ -189,6 +207,8 @@ class SituationStudy:
     """Processes; the result does not depend on it."""
     out: Path = Path("docs/situation-shares.json")
     """File to write."""
+    unfinished: Path = Path("results/situation-shares")
+    """Folder of the variants that are done: an interrupted study goes on from there; removed at the end."""
 
     def run(self) -> int:
         """Choose, score, compare."""
@@ -200,7 +220,7 @@ class SituationStudy:
         if missing := [name for name in inside if name not in known]:
             raise ConfigurationError(f"{self.sheet} says nothing about {missing[0]}: write the data sheet first")
         choices = choose({name: known[name] for name in inside}, self.factors, self.draws, self.seed)
-        tasks = (delayed(leaderboard_scores)(recordings, choice) for choice in choices)
+        tasks = (delayed(kept_scores)(recordings, choice, self.unfinished) for choice in choices)
         scores = cast("list[Scores]", Parallel(n_jobs=self.workers, verbose=10)(tasks))
         result = compare_orders({(c.factor, c.draw): score for c, score in zip(choices, scores, strict=True)})
         result |= {
@@ -213,6 +233,7 @@ class SituationStudy:
             "staged": {f"{choice.factor:g}": len(choice.staged) for choice in choices},
         }
         stored.save(self.out, result)
+        shutil.rmtree(self.unfinished, ignore_errors=True)
         for track, by_score in result["tau"].items():
             for score, taus in by_score.items():
                 shown = "  ".join(f"x {factor}: {tau['mean']:+.2f}" for factor, tau in taus.items())

@@ -202,6 +202,19 @@ def test_other_columns_are_not_saved(tmp_path):
     assert list(tmp_path.iterdir()) == []
 
 
+def test_an_old_file_without_own_windows_is_one_line_that_says_what_to_do(folder):
+    data, rows, _ = read_columns((folder / "recordings.parquet").read_bytes())
+    old = {name: values for name, values in data.items() if ".own_window" not in name}
+    write_columns(folder / "recordings.parquet", old, rows)
+    with pytest.raises(RecordingError) as error:
+        load_recordings(folder)
+    said = str(error.value)
+    assert "missing columns: CAM_FRONT.own_window_s, " in said
+    assert "record anew with `mixo record" in said
+    assert "\n" not in said
+    assert len(said) < 300 + len(str(folder))
+
+
 @pytest.mark.skipif(not Path("/proc/self/task").is_dir(), reason="counts threads the Linux way")
 def test_reading_starts_no_threads(tmp_path):
     """Arrow's threads abort a process that ends while they are still starting."""

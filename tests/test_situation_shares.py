@@ -18,6 +18,7 @@ from experiments.situation_shares import (
     choose,
     compare_orders,
     kendall_tau,
+    kept_scores,
     leaderboard_scores,
     ranks,
     staged_scenes,
@@ -119,10 +120,27 @@ def test_study_from_end_to_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(situation_shares, "load_recordings", lambda _: recordings)
     monkeypatch.setattr("mixo_env.policies.registry.names", lambda _: ("INERTIAL", "CAM_FRONT", "CAM_BACK"))
     out = tmp_path / "study.json"
-    SituationStudy(sheet=tmp_path / "sheet.json", draws=2, out=out).run()
+    kept = tmp_path / "unfinished"
+    SituationStudy(sheet=tmp_path / "sheet.json", draws=2, out=out, unfinished=kept).run()
+    assert not kept.exists()
     found = stored.load(out)
     assert found["tau"]["CONSUMER"]["rotation_deg_per_m"]["1"]["mean"] == 1.0
     assert list(found["staged"]) == ["0", "0.5", "1", "2"]
     stored.save(tmp_path / "sheet.json", {"situations": {}, "logs": []})
     with pytest.raises(ConfigurationError, match="says nothing"):
-        SituationStudy(sheet=tmp_path / "sheet.json", out=out).run()
+        SituationStudy(sheet=tmp_path / "sheet.json", out=out, unfinished=kept).run()
+
+
+def test_an_interrupted_study_goes_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    recordings, computed = synthetic_recordings(0, steps=20), []
+
+    def score(_: object, choice: Choice) -> dict[str, dict[str, dict[str, float]]]:
+        computed.append(choice)
+        return {"VISION": {"yaw_increment_rmse_deg": {"MEDIAN": float(len(computed))}}}
+
+    monkeypatch.setattr(situation_shares, "leaderboard_scores", score)
+    one, other = Choice(1.0, 0, ("a",), ("b",)), Choice(1.0, 1, ("b",), ("a",))
+    for _ in range(2):
+        assert kept_scores(recordings, one, tmp_path)["VISION"]["yaw_increment_rmse_deg"]["MEDIAN"] == 1.0
+        assert kept_scores(recordings, other, tmp_path)["VISION"]["yaw_increment_rmse_deg"]["MEDIAN"] == 2.0
+    assert computed == [one, other]

@@ -95,8 +95,6 @@ def save_recordings(recordings: Recordings, folder: str | Path) -> None:
 
     Poses are saved as they were written, whatever lag was removed from them.
 
-    Poses are saved as they were written, whatever lag was removed from them.
-
     Raises:
         RecordingError: for columns other than those of the schema, or if the folder holds a recording that cannot be
             read: that is never overwritten.
