@@ -14,6 +14,7 @@ import pytest
 
 from mixo_env.cli.main import main
 from mixo_env.errors import RecordingError
+from mixo_env.recordings.folds import MOST_FOLDS
 from mixo_env.recordings.store import load_recordings, save_recordings, write_columns
 from tests.damage import edit_manifest
 from tests.synthetic import synthetic_recordings
@@ -183,7 +184,7 @@ FAULTS: dict[str, Damage] = {
     "a scene of two lines": field("scene\n1", "scenes", 0, "name"),
     "a scene that colours the terminal": field("\x1b[31mscene", "scenes", 0, "name"),
     "fold -2": field(-2, "scenes", 0, "fold"),
-    "fold 4": field(4, "scenes", 0, "fold"),
+    "a fold too many": field(MOST_FOLDS, "scenes", 0, "fold"),
     "fold is 0.5": field(0.5, "scenes", 0, "fold"),
     "fold is text": field("0", "scenes", 0, "fold"),
     "rows 0": field(0, "scenes", 0, "rows"),
@@ -208,7 +209,7 @@ FAULTS: dict[str, Damage] = {
     "a reward scale below 0": field(-1.0, "reward_scale_rad", "PAPER"),
     "a reward scale of no track": field(1.0, "reward_scale_rad", "MARS"),
     "a weight of no expert": field({"PAPER": {"none": {"X": 1.0}}}, "linear_weights"),
-    "weights without fold 9": field({"PAPER": {"9": {"CAM_BACK": 1.0}}}, "linear_weights"),
+    "weights without a fold that cannot be": field({"PAPER": {str(MOST_FOLDS): {"CAM_BACK": 1.0}}}, "linear_weights"),
     "a weight is text": field({"PAPER": {"none": {"CAM_BACK": "1"}}}, "linear_weights"),
     "a cost of no camera": field({"CAM_SIDE": 25.0}, "camera_cost_ms"),
     "a cost below 0": field(-25.0, "camera_cost_ms", "CAM_FRONT"),
