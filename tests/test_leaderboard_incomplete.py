@@ -13,6 +13,7 @@ from mixo_env.cli.benchmark import Benchmark
 from mixo_env.errors import ConfigurationError, RecordingError
 from mixo_env.leaderboard import report
 from mixo_env.leaderboard.board import build
+from mixo_env.leaderboard.checks import check_complete
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.store import save_recordings
 from tests.synthetic import synthetic_recordings
@@ -102,6 +103,18 @@ def test_one_missing_number_is_found_in_its_row(eight: Recordings) -> None:
     distance[eight.offsets[2] + 5] = np.nan
     with pytest.raises(RecordingError, match=f"distance_m: .* got none in {eight.scenes[2].name}, row 5:"):
         build(eight.replace(columns={"distance_m": distance}), tracks=("VISION",), policies=("CAM_FRONT",))
+
+
+def test_a_first_row_has_a_pose_and_a_speed_but_no_step(eight: Recordings) -> None:
+    """It belongs to its own scene, not to the one before."""
+    check_complete(eight)
+    first = eight.offsets[2]
+    speed, distance = eight["speed_mps"].copy(), eight["distance_m"].copy()
+    distance[first] = np.nan
+    check_complete(eight.replace(columns={"distance_m": distance}))
+    speed[first] = np.nan
+    with pytest.raises(RecordingError, match=f"speed_mps: .* got none in {eight.scenes[2].name}, row 0:"):
+        check_complete(eight.replace(columns={"speed_mps": speed}))
 
 
 def test_an_expert_that_never_says_anything_is_named_below_the_table(eight: Recordings) -> None:

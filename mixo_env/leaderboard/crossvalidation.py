@@ -119,8 +119,7 @@ class CrossValidation:
             tested = self._inside.select(folds=self.tested_folds)
         self._tested = tested
         # Constants of what is tested come from other folds, so all folds take part before the tested are taken out.
-        seen, held = (recordings, (OUT_OF_DISTRIBUTION,)) if out_of_distribution else (self._inside, self.tested_folds)
-        prepared = self._at_clock(with_held_out_constants(seen, held))
+        prepared = self._at_clock(with_held_out_constants(recordings if out_of_distribution else self._inside))
         self.recordings = prepared.select(scenes=[scene.name for scene in tested.scenes])
         self.left_out = len(recordings) - len(tested)
         self.truths = truths_of(self.recordings)

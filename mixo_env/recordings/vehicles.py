@@ -111,30 +111,25 @@ def with_training_constants(recordings: Recordings, folds: Collection[int]) -> R
     return recordings.replace(replace(recordings.manifest, vehicles=constants))
 
 
-def with_held_out_constants(recordings: Recordings, tested: Collection[int] = ()) -> Recordings:
+def with_held_out_constants(recordings: Recordings) -> Recordings:
     """The recordings as cross-validation must see them: no scene's constants are fitted on its own fold.
 
     Every vehicle is entered once per fold it drives in, as ``"<vehicle> in fold <fold>"``, with constants from the
     other folds (a night scene, in fold -1: from all folds). With fewer than two folds there is nothing to fit them on
     that is not scored: they stay nominal, but for the pose lag, which comes from the vehicle's other logs (it is
     entered as ``"<vehicle> but <log>"``). A vehicle that drives nowhere else has lag 0, and the log says so.
-
-    Args:
-        recordings: all scenes, those to learn from included.
-        tested: folds whose scenes are wanted; empty, or with fewer than two folds: all.
     """
     folds = sorted({scene.fold for scene in recordings.scenes if scene.fold >= 0})
     if len(folds) < 2:
         return _with_lags_of_other_logs(recordings)
     constants: dict[str, VehicleConstants] = {}
-    wanted = {scene.fold for scene in recordings.scenes if not tested or scene.fold in tested}
-    for fold in sorted(wanted):
+    for fold in {scene.fold for scene in recordings.scenes}:
         names = [scene.vehicle for scene in recordings.scenes if scene.fold == fold]
         fitted = _fitted_or_nominal(recordings, [other for other in folds if other != fold], names)
         constants |= {f"{name} in fold {fold}": values for name, values in fitted.items()}
-    shown = recordings.select(folds=sorted(wanted))
-    scenes = tuple(replace(scene, vehicle=f"{scene.vehicle} in fold {scene.fold}") for scene in shown.scenes)
-    return shown.replace(replace(shown.manifest, scenes=scenes, vehicles=constants))
+    scenes = tuple(replace(scene, vehicle=f"{scene.vehicle} in fold {scene.fold}") for scene in recordings.scenes)
+    manifest = replace(recordings.manifest, scenes=scenes, vehicles=constants)
+    return recordings.replace(manifest)
 
 
 def _with_lags_of_other_logs(recordings: Recordings) -> Recordings:
