@@ -70,7 +70,7 @@ def open_drives(root: Path, scenes: tuple[str, ...], cameras: tuple[str, ...]) -
         scene = dataset.load(name, cameras)
         for track in scene.cameras.values():
             turn, path = _motion(scene, track)
-            yield Drive(name, track.calibration, track.image_paths, track.timestamp_us, turn, path, read_grey)
+            yield Drive(name, track.calibration, tuple(track.image_paths), track.timestamp_us, turn, path, read_grey)
 
 
 def _motion(scene: Scene, track: CameraTrack) -> tuple[FloatArray, FloatArray]:

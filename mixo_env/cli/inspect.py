@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from dataclasses import asdict, dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import tyro
 
 from mixo_env.errors import printable
+from mixo_env.tables import Column, Table
 
 if TYPE_CHECKING:
     from mixo_env.nuscenes.checks.judge import Inspection
@@ -90,82 +91,60 @@ def _cameras(dataset: Dataset, wanted: tuple[str, ...]) -> tuple[str, ...]:
 
 def _print_table(inspection: Inspection) -> None:
     """What was measured, what is wrong, and the verdict."""
-    from rich.console import Console
-
-    console = Console()
-    scenes, measures = _tables(inspection)
-    console.print(scenes)
-    console.print(
-        "gyro r: correlation of ms_imu with the poses' yaw rate, where the car turns. "
-        "wheels: distance rolled at r = 0.305 m over true distance."
-    )
-    console.print(measures)
-    console.print(
-        "Hz: messages a second. latency: of the copies of ms_imu in `pose`. lag: how late the poses follow ms_imu. "
-        "course: direction of motion minus heading. noise: RMS difference of half-second turns, poses against ms_imu."
-    )
+    for table in _tables(inspection):
+        print(table.text())
     for problem in inspection.problems:
-        console.print(f"[red]problem[/red] {_shown(problem)}", soft_wrap=True, highlight=False)
+        print(f"problem {printable(str(problem))}")
     for scene in inspection.scenes:
-        for kind, remarks in (("[red]problem[/red]", scene.problems), ("note", scene.notes)):
+        for kind, remarks in (("problem", scene.problems), ("note", scene.notes)):
             for remark in remarks:
-                console.print(f"{kind} {_shown(scene.name)}: {_shown(remark)}", soft_wrap=True, highlight=False)
+                print(f"{kind} {printable(scene.name)}: {printable(str(remark))}")
     cameras = sorted({camera for scene in inspection.scenes for camera in scene.images})
     total_km = 1e-3 * sum(scene.distance_m for scene in inspection.scenes)
     bad = sum(bool(scene.problems) for scene in inspection.scenes)
     verdict = "sound" if inspection.is_sound else "not sound"
-    console.print(f"cameras: {', '.join(cameras) or 'none'}", soft_wrap=True, highlight=False)
-    console.print(
-        f"{len(inspection.scenes)} scenes, {total_km:.2f} km, {bad} with problems: {verdict}", highlight=False
+    print(f"cameras: {', '.join(cameras) or 'none'}")
+    print(f"{len(inspection.scenes)} scenes, {total_km:.2f} km, {bad} with problems: {verdict}")
+
+
+def _tables(inspection: Inspection) -> tuple[Table, Table]:
+    """One line a scene: how it drove, and what its messages are like."""
+    scenes, measures = [], []
+    for scene in inspection.scenes:
+        name = f"{scene.name} !" if scene.problems else scene.name
+        images = sum(scene.images.values())
+        drove = (scene.duration_s, scene.distance_m, scene.turn_deg, images, scene.gyro_correlation, scene.wheel_ratio)
+        scenes.append((name, *drove, " ".join(scene.conditions)))
+        rates = (scene.rates_hz.get(message) for message in _RATES.values())
+        times = (_milliseconds(scene.imu_latency_s), _milliseconds(scene.pose_lag_s))
+        measures.append((name, *rates, *times, scene.course_offset_deg, scene.truth_noise_deg))
+    driving = f"{inspection.root}, {inspection.version}; ! is told about below. {_DRIVING}"
+    return (
+        Table(printable(driving), _columns(_DROVE), scenes),
+        Table(_MESSAGES, _columns(dict.fromkeys(_RATES, ".0f") | _MEASURED), measures),
     )
 
 
-def _tables(inspection: Inspection) -> tuple[Any, Any]:
-    """One line a scene: how it drove, and what its messages are like; red where something is wrong."""
-    from rich.table import Table
-
-    scenes = Table(title=_shown(f"{inspection.root}, {inspection.version}"), title_justify="left")
-    for heading in ("scene", "conditions"):
-        scenes.add_column(heading, no_wrap=True)
-    for heading in ("s", "m", "turn °", "images", "gyro r", "wheels"):
-        scenes.add_column(heading, justify="right", no_wrap=True)
-    measures = Table()
-    for heading in ("scene", *_RATES, "latency ms", "lag ms", "course °", "noise °"):
-        measures.add_column(heading, justify="left" if heading == "scene" else "right", no_wrap=True)
-    for scene in inspection.scenes:
-        style = "red" if scene.problems else None
-        scenes.add_row(
-            _shown(scene.name),
-            " ".join(scene.conditions),
-            f"{scene.duration_s:.1f}",
-            f"{scene.distance_m:.1f}",
-            f"{scene.turn_deg:.1f}",
-            str(sum(scene.images.values())),
-            _number(scene.gyro_correlation, ".3f"),
-            _number(scene.wheel_ratio, ".3f"),
-            style=style,
-        )
-        measures.add_row(
-            _shown(scene.name),
-            *(_number(scene.rates_hz.get(message), ".0f") for message in _RATES.values()),
-            _number(scene.imu_latency_s, ".0f", 1e3),
-            _number(scene.pose_lag_s, ".0f", 1e3),
-            _number(scene.course_offset_deg, ".1f"),
-            _number(scene.truth_noise_deg, ".3f"),
-            style=style,
-        )
-    return scenes, measures
+def _columns(specs: dict[str, str]) -> tuple[Column, ...]:
+    return tuple(Column(heading, spec=spec) for heading, spec in ({"scene": ""} | specs).items())
 
 
-def _shown(text: object) -> str:
-    from rich.markup import escape
-
-    return escape(printable(str(text)))
+def _milliseconds(seconds: float | None) -> float | None:
+    return None if seconds is None else 1e3 * seconds
 
 
-def _number(value: float | None, spec: str, factor: float = 1.0) -> str:
-    return "" if value is None else format(factor * value, spec)
+_DROVE = {"s": ".1f", "m": ".1f", "turn °": ".1f", "images": "d", "gyro r": ".3f", "wheels": ".3f", "conditions": ""}
+_MEASURED = {"latency ms": ".0f", "lag ms": ".0f", "course °": ".1f", "noise °": ".3f"}
+"""Heading -> how its numbers are printed."""
 
+_DRIVING = (
+    "gyro r: correlation of ms_imu with the poses' yaw rate, where the car turns. "
+    "wheels: distance rolled at r = 0.305 m over true distance."
+)
+_MESSAGES = (
+    "Hz: messages a second. latency: of the copies of ms_imu in `pose`. lag: how late the poses follow ms_imu. "
+    "course: direction of motion minus heading. noise: RMS difference of half-second turns, poses against ms_imu."
+)
 
 _RATES = {"wheel Hz": "zoe_veh_info", "IMU Hz": "ms_imu", "pose Hz": "pose", "monitor Hz": "vehicle_monitor"}
 """Heading -> message."""

@@ -13,7 +13,7 @@ LARGEST_FILE_BYTES = 200 * 2**20
 """Of files that are read in one piece (CAN bus 0.6 MB, exact poses 1 MB, images 0.3 MB)."""
 
 
-def open_file(path: Path) -> BinaryIO:
+def open_file(path: str | Path) -> BinaryIO:
     """Open a file for reading; links are followed, as people keep ``samples`` on another disk.
 
     Raises:

@@ -29,7 +29,7 @@ _SIZE_MARKERS = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 _START, _END = b"\xff\xd8", b"\xff\xd9"
 
 
-def image_fault(path: Path, width: int, height: int) -> str | None:
+def image_fault(path: str | Path, width: int, height: int) -> str | None:
     """What is wrong with an image file; a kilobyte of it is read, nothing is decoded.
 
     Args:

@@ -6,8 +6,11 @@ metres on the log's map; yaw is anticlockwise positive. Each image carries the e
 
 from __future__ import annotations
 
+import os
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import SupportsIndex, overload
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +40,43 @@ class CameraCalibration:
     height: int
 
 
+class ImagePaths(Sequence[Path]):
+    """Absolute paths of images, made when asked for: a data set names 800,000 files, and few of them are opened.
+
+    Args:
+        root: folder of the data set.
+        names: relative to it.
+    """
+
+    def __init__(self, root: Path, names: Sequence[str]) -> None:
+        self._root, self._names = root, tuple(names)
+
+    def __len__(self) -> int:
+        """Number of images."""
+        return len(self._names)
+
+    @overload
+    def __getitem__(self, key: SupportsIndex) -> Path: ...
+    @overload
+    def __getitem__(self, key: slice) -> ImagePaths: ...
+    def __getitem__(self, key: SupportsIndex | slice) -> Path | ImagePaths:
+        """One path, or those of a slice."""
+        if isinstance(key, slice):
+            return ImagePaths(self._root, self._names[key])
+        return self._root / self._names[key]
+
+    def __eq__(self, other: object) -> bool:
+        """The same paths in the same order."""
+        return isinstance(other, Sequence) and tuple(self) == tuple(other)
+
+    __hash__ = None  # type: ignore[assignment]
+
+    def texts(self) -> Iterator[str]:
+        """The paths as text."""
+        folder = f"{self._root}{os.sep}"
+        return (folder + name for name in self._names)
+
+
 @dataclass(frozen=True)
 class CameraTrack:
     """All images of one camera in one scene in time order, key frames and sweeps alike, with their ego poses.
@@ -51,11 +91,16 @@ class CameraTrack:
 
     calibration: CameraCalibration
     timestamp_us: IntArray
-    image_paths: tuple[Path, ...]
+    image_paths: Sequence[Path]
     is_keyframe: NDArray[np.bool_]
     x_m: FloatArray
     y_m: FloatArray
     yaw_rad: FloatArray
+
+    def image_files(self) -> list[str]:
+        """``image_paths`` as text, for what looks at all of them."""
+        paths = self.image_paths
+        return list(paths.texts() if isinstance(paths, ImagePaths) else map(os.fspath, paths))
 
 
 @dataclass(frozen=True)

@@ -24,7 +24,7 @@ from mixo_env.nuscenes.can_bus import read_can_bus, scenes_with_can_bus
 from mixo_env.nuscenes.files import LARGEST_FILE_BYTES, open_file
 from mixo_env.nuscenes.index import CalibrationRecord, ImageIndex
 from mixo_env.nuscenes.limits import LONGEST_SCENE_S
-from mixo_env.nuscenes.scene import CameraCalibration, CameraTrack, ExactPoses, Scene
+from mixo_env.nuscenes.scene import CameraCalibration, CameraTrack, ExactPoses, ImagePaths, Scene
 from mixo_env.nuscenes.selections import CAMERAS, conditions_of
 
 UNIT_QUATERNION_TOLERANCE = 1e-3
@@ -196,7 +196,7 @@ class Dataset:
         return CameraTrack(
             calibration=calibration,
             timestamp_us=time,
-            image_paths=tuple(self.root / index.filename(row) for row in rows.tolist()),
+            image_paths=ImagePaths(self.root, [index.filename(row) for row in rows.tolist()]),
             is_keyframe=index.is_keyframe[rows],
             x_m=index.x_m[rows],
             y_m=index.y_m[rows],

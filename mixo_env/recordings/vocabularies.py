@@ -121,7 +121,7 @@ def scene_descriptors(
     some = np.flatnonzero(rng.random(len(track.image_paths)) < share)
     words, faults = [], []
     for i in some:
-        image = readable(track.image_paths[i], track.calibration, mounted.halvings)
+        image = readable(track.image_paths[int(i)], track.calibration, mounted.halvings)
         if isinstance(image, str):
             faults.append(image)
         else:

@@ -28,7 +28,7 @@ def image_files(evidence: Evidence) -> Iterator[Finding]:
         width, height = track.calibration.width, track.calibration.height
         faults = {
             position: fault
-            for position, path in enumerate(track.image_paths)
+            for position, path in enumerate(track.image_files())
             if (fault := image_fault(path, width, height)) is not None
         }
         hint = ": only key frames are unpacked? see --key-frames" if _no_sweeps(faults, track) else ""
@@ -83,7 +83,7 @@ def keyframes(evidence: Evidence) -> Iterator[Finding]:
 def image_names(evidence: Evidence) -> Iterator[Finding]:
     """The time in a file's name, where there is one, is that of its row; no file stands for two images."""
     for camera, track in evidence.tracks.items():
-        files = [os.fspath(path) for path in track.image_paths]
+        files = track.image_files()
         wrong = [
             file
             for file, time in zip(files, track.timestamp_us.tolist(), strict=True)
