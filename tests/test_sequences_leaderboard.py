@@ -88,7 +88,8 @@ def test_lost_experts_are_bridged_by_the_others_and_counted(tmp_path):
     (table,) = build(recordings, policies=["A", "B", "MEDIAN"]).tables
     rows = {row.name: row for row in table.rows}
     assert rows["A"].headline.yaw_increment_rmse_deg < 1e-4  # B's turns stand in, and B is exact
-    assert [rows[name].lost.counts.tolist() for name in ("A", "B", "MEDIAN")] == [[1, 0], [0, 0], [0, 0]]
+    lost = [row.lost.counts.tolist() for row in rows.values() if row.lost is not None]
+    assert (list(rows), lost) == (["A", "B", "MEDIAN"], [[1, 0], [0, 0], [0, 0]])
 
 
 @pytest.mark.parametrize("experts", [1, 3])
@@ -102,10 +103,10 @@ def test_the_environment_plays_them(tmp_path, experts, observation):
         seen, _ = env.reset(seed=0)
         assert env.observation_space.contains(seen)
         assert env.action_space.shape == (experts,)
-        ended = False
+        ended, info = False, {}
         while not ended:
             seen, reward, _, ended, info = env.step(env.action_space.sample())
-            assert np.isfinite(reward)
+            assert np.isfinite(float(reward))
         assert np.isfinite(info["ate_m"])
     with pytest.raises(ConfigurationError, match="expected recordings with cameras to switch"):
         gym.make("mixo_env:MixoOdometryBudget-v0", recordings=tmp_path / "out")
