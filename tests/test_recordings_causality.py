@@ -81,7 +81,7 @@ def changed(recorded, other):
 @pytest.mark.parametrize("picture", ["blank", "identical"])
 def test_pictures_that_say_nothing_never_let_the_gyro_into_a_camera(tmp_path, scene, picture):
     first = {camera: track.image_paths[0].read_bytes() for camera, track in scene.cameras.items()}
-    height, width = simplejpeg.decode_jpeg_header(first["CAM_FRONT"])[:2]
+    height, width = (int(n) for n in simplejpeg.decode_jpeg_header(first["CAM_FRONT"])[:2])
     blank = np.full((height, width, 1), 128, np.uint8)
     cameras = {}
     for camera, track in scene.cameras.items():
