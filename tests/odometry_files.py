@@ -1,4 +1,4 @@
-"""Small sets of trajectory files, as people have them: true drives with slopes and turns, and odometries of them."""
+"""Small sets of trajectory files, as people have them: true drives and odometries of them."""
 
 from __future__ import annotations
 

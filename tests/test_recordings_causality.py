@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import simplejpeg
 
 from mixo_env.nuscenes.scene import Signal
 from mixo_env.nuscenes.tables import open_dataset
@@ -75,3 +76,28 @@ def test_wheels_are_the_scale_of_a_camera_and_move_no_clock(scene, recorded):
 
 def changed(recorded, other):
     return {name for name in recorded if recorded[name].tobytes() != other[name].tobytes()}
+
+
+@pytest.mark.parametrize("picture", ["blank", "identical"])
+def test_pictures_that_say_nothing_never_let_the_gyro_into_a_camera(tmp_path, scene, picture):
+    first = {camera: track.image_paths[0].read_bytes() for camera, track in scene.cameras.items()}
+    height, width = (int(n) for n in simplejpeg.decode_jpeg_header(first["CAM_FRONT"])[:2])
+    blank = np.full((height, width, 1), 128, np.uint8)
+    cameras = {}
+    for camera, track in scene.cameras.items():
+        path = tmp_path / f"{camera}.jpg"
+        path.write_bytes(first[camera] if picture == "identical" else simplejpeg.encode_jpeg(blank, colorspace="GRAY"))
+        cameras[camera] = replace(track, image_paths=(path,) * len(track.image_paths))
+    silent = replace(scene, cameras=cameras)
+    can_bus = scene.can_bus
+    gyro, pose = can_bus.imu_yaw_rate_radps, can_bus.pose_yaw_rate_radps
+    wrong = replace(
+        can_bus,
+        imu_yaw_rate_radps=Signal(gyro.timestamp_us, gyro.value + 0.5),
+        pose_yaw_rate_radps=Signal(pose.timestamp_us, pose.value + 0.5),
+    )
+    before, _ = record_scene(silent, EXPERTS)
+    after, _ = record_scene(replace(silent, can_bus=wrong), EXPERTS)
+    assert not {name for name in changed(before, after) if name.startswith("CAM_")}
+    if picture == "blank":
+        assert all(np.isnan(before[f"{camera}.yaw_increment_rad"]).all() for camera in CAMERAS)

@@ -128,7 +128,6 @@ def test_an_expert_without_poses_around_a_step_is_lost_there(tmp_path):
     write_tum(folders["A"] / "drive00.txt", way[kept])
     rows = made(folders, reading=Reading()).rows(0)
     lost = np.flatnonzero(rows["A.state"] == State.LOST)
-    np.testing.assert_array_equal(lost, np.r_[5:11, 80:101][1:] if False else lost)
     assert np.isnan(rows["A.yaw_increment_rad"][1:11]).all()
     assert np.isfinite(rows["A.yaw_increment_rad"][11:80]).all()
     assert np.isnan(rows["A.yaw_increment_rad"][80:101]).all()
