@@ -8,6 +8,8 @@ from mixo_env.leaderboard.board import Leaderboard, build
 from mixo_env.recordings.schema import TRACKS
 from mixo_env.recordings.store import load_recordings
 
+pytestmark = pytest.mark.integration
+
 VOTING = ("CAM_FRONT", "LINEAR", "HUBER")
 
 

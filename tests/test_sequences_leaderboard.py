@@ -119,6 +119,7 @@ def test_counts_are_observed_where_there_are_any(tmp_path):
     assert widths == [(6,), (4,)]
 
 
+@pytest.mark.integration
 @pytest.mark.parametrize("form", ["tum", "kitti"])
 def test_evaluate_finds_the_numbers_of_the_leaderboard_in_what_is_exported(tmp_path, capsys, form):
     save_recordings(recorded(tmp_path / "files", 3, sequences=4), tmp_path / "out")
@@ -147,6 +148,7 @@ def test_evaluate_finds_the_numbers_of_the_leaderboard_in_what_is_exported(tmp_p
             assert float(found[theirs]) == pytest.approx(ours, rel=1e-5, abs=1e-7)
 
 
+@pytest.mark.integration
 @pytest.mark.skipif(not (REAL / "kitti_experts").is_dir(), reason="needs the real data")
 def test_real_experts_of_kitti(tmp_path, capsys):
     folder = REAL / "kitti_experts"
@@ -177,6 +179,7 @@ def test_real_experts_of_kitti(tmp_path, capsys):
     assert rmse["DF-VO"] == pytest.approx(0.019, abs=0.002)
 
 
+@pytest.mark.integration
 @pytest.mark.skipif(not (REAL / "vo_estimates").is_dir(), reason="needs the real data")
 @pytest.mark.parametrize(("part", "rate"), [("nuscenes", "2"), ("kitti", "10")])
 def test_real_estimates_at_two_and_ten_hertz(tmp_path, capsys, part, rate):
