@@ -36,7 +36,10 @@ def commands(page: str) -> list[str]:
 def stand_in(folder: Path) -> Path:
     """A small simulated folder with two names and the version of a real one, and pictures that cost nothing."""
     root = folder / "nuscenes"
-    simulate(SimulationConfig(scenes=4, scenes_per_log=1, seconds=3, width=WIDTH, height=HEIGHT, images=False), root)
+    config = SimulationConfig(
+        scenes=4, scenes_per_log=1, seconds=2, width=WIDTH, height=HEIGHT, night=0.0, images=False
+    )
+    simulate(config, root)
     (root / VERSION).rename(root / "v1.0-trainval")
     scenes = root / "v1.0-trainval" / "scene.json"
     scenes.write_text(
@@ -81,7 +84,7 @@ def test_every_command_of_the_pages_is_understood(tmp_path, monkeypatch, capsys)
 def test_the_pages_are_followed_word_by_word(tmp_path):
     root = stand_in(tmp_path)
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-    environment = os.environ | {"PATH": path, "PYTHONPATH": str(REPOSITORY)}
+    environment = os.environ | {"PATH": path, "PYTHONPATH": str(REPOSITORY), "OMP_NUM_THREADS": "1"}
     for page in PAGES:
         work = tmp_path / page
         work.mkdir()
