@@ -10,7 +10,10 @@ import subprocess
 import sys
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
+import simplejpeg
 
 from mixo_env.cli.main import main
 from mixo_env.simulator.config import SimulationConfig
@@ -18,6 +21,7 @@ from mixo_env.simulator.dataset import VERSION, simulate
 
 REPOSITORY = Path(__file__).parent.parent
 PAGES = ("nuscenes.md", "faults.md", "faults-recordings.md")
+WIDTH, HEIGHT = 320, 180
 FOLDER = "/data/nuscenes"
 NAMES = {"scene-2001": "scene-0061", "scene-2002": "scene-0103"}
 """Of the simulated scenes -> as the pages call them."""
@@ -30,9 +34,11 @@ def commands(page: str) -> list[str]:
 
 
 def stand_in(folder: Path) -> Path:
-    """A small simulated folder with two names and the version of a real one."""
+    """A small simulated folder with two names and the version of a real one, and pictures that cost nothing."""
     root = folder / "nuscenes"
-    config = SimulationConfig(scenes=5, scenes_per_log=1, seconds=3, width=320, height=180, night=0.0)
+    config = SimulationConfig(
+        scenes=4, scenes_per_log=1, seconds=2, width=WIDTH, height=HEIGHT, night=0.0, images=False
+    )
     simulate(config, root)
     (root / VERSION).rename(root / "v1.0-trainval")
     scenes = root / "v1.0-trainval" / "scene.json"
@@ -43,7 +49,20 @@ def stand_in(folder: Path) -> Path:
         for old, new in NAMES.items():
             if path.name.startswith(old):
                 path.rename(path.with_name(path.name.replace(old, new)))
+    names = [row["filename"] for row in json.loads((root / "v1.0-trainval" / "sample_data.json").read_text())]
+    write_pictures(root, sorted((name for name in names if name.endswith(".jpg")), key=lambda name: Path(name).name))
     return root
+
+
+def write_pictures(root: Path, names: list[str]) -> None:
+    """One texture that slides to the right, from picture to picture, whatever the camera."""
+    noise = np.random.default_rng(0).integers(0, 256, (HEIGHT // 6, WIDTH // 3), np.uint8)
+    texture = cv2.resize(noise, (2 * WIDTH, HEIGHT), interpolation=cv2.INTER_CUBIC)
+    for number, name in enumerate(names):
+        left = WIDTH - 4 * number % WIDTH
+        picture = np.ascontiguousarray(texture[:, left : left + WIDTH, None])
+        (root / name).parent.mkdir(parents=True, exist_ok=True)
+        (root / name).write_bytes(simplejpeg.encode_jpeg(picture, quality=70, colorspace="GRAY"))
 
 
 def test_every_page_has_commands():
@@ -65,7 +84,7 @@ def test_every_command_of_the_pages_is_understood(tmp_path, monkeypatch, capsys)
 def test_the_pages_are_followed_word_by_word(tmp_path):
     root = stand_in(tmp_path)
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-    environment = os.environ | {"PATH": path, "PYTHONPATH": str(REPOSITORY)}
+    environment = os.environ | {"PATH": path, "PYTHONPATH": str(REPOSITORY), "OMP_NUM_THREADS": "1"}
     for page in PAGES:
         work = tmp_path / page
         work.mkdir()

@@ -149,6 +149,8 @@ def test_scenes_without_a_trajectory_stay_empty():
         "MIXO",
         "step",
         "VISION",
+        "groundtruth",
+        "Constant_Rate",
     ],
 )
 def test_names_that_cannot_be_used(name):

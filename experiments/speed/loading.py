@@ -3,7 +3,8 @@
 Writes synthetic tables with the row counts of real scenes (3,095 sample_data and ego_pose rows a scene, 12 sensors, one
 key per line as in the published files), then measures in a fresh process each: the devkit's way (standard JSON reader
 into dictionaries, then indices from token to row and from sample to data), our first opening (builds the cache) and
-our later ones. With ``--devkit`` the real devkit is timed as well, in its own virtual environment.
+our later ones, and `mixo inspect` of the same tables (there are no images and no CAN bus: every file is missed), the
+first time with parsing. With ``--devkit`` the real devkit is timed as well, in its own virtual environment.
 
     python -m experiments.speed.loading --scenes 85
     python -m experiments.speed.loading --devkit /path/to/venv/bin/python
@@ -12,6 +13,7 @@ our later ones. With ``--devkit`` the real devkit is timed as well, in its own v
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -54,6 +56,11 @@ from mixo_env.nuscenes.tables import open_dataset
 open_dataset(Path({root!r})).track("scene-0001", "CAM_FRONT")
 """
 
+INSPECT = """
+from mixo_env.cli.main import main
+main(["inspect", {root!r}])
+"""
+
 DEVKIT = """
 from nuscenes.nuscenes import NuScenes
 NuScenes("v1.0-trainval", {root!r}, verbose=False)
@@ -81,6 +88,10 @@ class Loading:
             ours = OUR_WAY.format(root=str(root))
             report("mixo, first opening", measure(sys.executable, ours), peer)
             report("mixo, later openings", measure(sys.executable, ours), peer)
+            inspect = INSPECT.format(root=str(root))
+            shutil.rmtree(root / ".mixo-cache")
+            report("mixo inspect, first run", measure(sys.executable, inspect), peer)
+            report("mixo inspect, later runs", measure(sys.executable, inspect), peer)
             if self.devkit:
                 report("nuscenes-devkit itself", measure(str(self.devkit), DEVKIT.format(root=str(root))), peer)
             cache = next((root / ".mixo-cache").iterdir())

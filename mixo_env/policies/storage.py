@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from mixo_env.errors import PolicyError
+from mixo_env.errors import PolicyError, printable
 from mixo_env.files import write_bytes
 
 FILE = "policy.safetensors"
@@ -76,7 +76,7 @@ def read(folder: Path) -> tuple[Description, dict[str, NDArray[Any]]]:
             description = msgspec.json.decode(file.metadata()[DESCRIPTION], type=Description)
             tensors = {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
     except (SafetensorError, OSError, TypeError, KeyError, ValueError, AttributeError, RecursionError) as error:
-        raise PolicyError(f"{path} is not a saved policy ({one_line(error)}): save it anew") from None
+        raise PolicyError(f"{path} is not a saved policy ({printable(one_line(error))}): save it anew") from None
     for name, value in tensors.items():
         if value.dtype.kind != "f" or np.isnan(value).any():
             raise PolicyError(f"{path} is not a saved policy (tensor {name!r} holds no numbers or NaN): save it anew")

@@ -27,12 +27,23 @@ ROWS = (
 """Policies and floors of the leaderboard, which is above this floor: a test keeps the list complete."""
 
 
+CONSTANT_RATE = "CONSTANT_RATE"
+"""The expert that `mixo import --constant-rate` makes of the others."""
+
+GROUNDTRUTH = "groundtruth"
+"""As `mixo import --axes` names the truth."""
+
+
 def _key(name: str) -> str:
     return "".join(filter(str.isalnum, name.casefold()))
 
 
 _RESERVED = {
-    _key(name) for name in (*INERTIAL_EXPERTS, *TRACKS, *ROWS, *(column.split(".")[0] for column in STEP_COLUMNS))
+    _key(name)
+    for name in (
+        *(*INERTIAL_EXPERTS, *TRACKS, *ROWS, CONSTANT_RATE, GROUNDTRUTH),
+        *(column.split(".")[0] for column in STEP_COLUMNS),
+    )
 }
 
 

@@ -6,6 +6,7 @@ import logging
 from collections.abc import Callable, Generator, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, cast
 
 from mixo_env.errors import ConfigurationError
@@ -35,12 +36,16 @@ def each(
         function: of a task's arguments; must not raise but for what is to end the run.
         tasks: name -> arguments.
         workers: as in :func:`processes`.
-        scheduler: likewise.
+        scheduler: address of a Dask scheduler, e.g. ``"tcp://10.0.0.1:8786"``, to use instead.
 
     Yields:
         Name of a task, and its result or :class:`Killed`.
     """
+    if scheduler is not None:
+        yield from _each_on_cluster(function, tasks, scheduler)
+        return
     from joblib import Parallel, delayed
+    from joblib.externals.loky.process_executor import TerminatedWorkerError
 
     def results(names: list[str]) -> Iterator[tuple[str, Any]]:
         jobs = (delayed(_named)(name, function, tasks[name]) for name in names)
@@ -48,25 +53,53 @@ def each(
         yield from cast("Iterator[tuple[str, Any]]", parallel(jobs))
 
     waiting = dict.fromkeys(tasks)
-    with processes(workers, scheduler):
+    with processes(workers):
         while waiting:
             try:
                 for name, result in results(list(waiting)):
                     del waiting[name]
                     yield name, result
-            except _worker_killed(scheduler):
+            except TerminatedWorkerError:
                 suspects = list(waiting)[: 2 * workers]
-                logger.warning("a worker was killed (out of memory?): trying %s again alone", ", ".join(suspects))
+                _warn(suspects)
                 for name in suspects:
                     del waiting[name]
-                    yield name, _alone(lambda name=name: next(results([name]))[1], scheduler)
+                    yield name, _alone(lambda name=name: next(results([name]))[1], TerminatedWorkerError)
 
 
-def _alone(attempt: Callable[[], Any], scheduler: str | None) -> Any:
+def _each_on_cluster(
+    function: Callable[..., Any], tasks: Mapping[str, tuple[Any, ...]], scheduler: str
+) -> Iterator[tuple[str, Any]]:
+    """:func:`each` by Dask itself: joblib runs in this process while fewer than two workers are up."""
+    with _client(scheduler) as client:
+        from distributed import KilledWorker, as_completed  # pyright: ignore[reportMissingImports]
+
+        names = {client.submit(function, *arguments, pure=False): name for name, arguments in tasks.items()}
+        suspects: list[str] = []
+        for future in as_completed(list(names)):
+            name = names.pop(future)  # a finished future that nobody holds frees its memory on the cluster
+            try:
+                result = future.result()
+            except KilledWorker:
+                suspects.append(name)
+                continue
+            yield name, result
+        if suspects:
+            _warn(suspects)
+        for name in suspects:
+            again = partial(client.submit, function, *tasks[name], pure=False)
+            yield name, _alone(lambda again=again: again().result(), KilledWorker)
+
+
+def _warn(suspects: list[str]) -> None:
+    logger.warning("a worker was killed (out of memory?): trying %s again alone", ", ".join(suspects))
+
+
+def _alone(attempt: Callable[[], Any], killed: type[Exception]) -> Any:
     for _ in range(ATTEMPTS_ALONE):
         try:
             return attempt()
-        except _worker_killed(scheduler):
+        except killed:
             continue
     return Killed()
 
@@ -75,44 +108,35 @@ def _named(name: str, function: Callable[..., Any], arguments: tuple[Any, ...]) 
     return name, function(*arguments)
 
 
-def _worker_killed(scheduler: str | None) -> type[Exception]:
-    """What joblib raises when a worker dies."""
-    if scheduler is not None:
-        from distributed import KilledWorker  # pyright: ignore[reportMissingImports]
-
-        return KilledWorker
-    from joblib.externals.loky.process_executor import TerminatedWorkerError
-
-    return TerminatedWorkerError
-
-
 @contextmanager
-def processes(workers: int, scheduler: str | None = None) -> Iterator[None]:
+def processes(workers: int) -> Iterator[None]:
     """Inside the block, ``joblib.Parallel()`` runs there.
 
     Args:
         workers: processes on this machine, one thread each; 1 stays in this process.
-        scheduler: address of a Dask scheduler, e.g. ``"tcp://10.0.0.1:8786"``; all its workers are used then, and they
-            must see the data under the same paths.
 
     Raises:
-        ConfigurationError: for no workers, or a scheduler that cannot be reached.
+        ConfigurationError: for no workers.
     """
     from joblib import parallel_config
 
     if workers < 1:
         raise ConfigurationError(f"workers must be at least 1, got {workers}")
-    if scheduler is None:
-        with parallel_config(backend="loky", n_jobs=workers, inner_max_num_threads=1):
-            yield
-        return
+    with parallel_config(backend="loky", n_jobs=workers, inner_max_num_threads=1):
+        yield
+
+
+def _client(scheduler: str) -> Any:
+    """Connected to a Dask scheduler; all its workers are used, and they must see the data under the same paths.
+
+    Raises:
+        ConfigurationError: it cannot be reached.
+    """
     try:
         from distributed import Client  # pyright: ignore[reportMissingImports]
     except ImportError:
         raise ConfigurationError("a scheduler needs Dask: pip install 'mixo-env[cluster]'") from None
     try:
-        client = Client(scheduler, timeout=10)
+        return Client(scheduler, timeout=10)
     except (OSError, ValueError) as error:
         raise ConfigurationError(f"no Dask scheduler at {scheduler} ({error}): start one or leave it out") from None
-    with client, parallel_config(backend="dask", n_jobs=-1):
-        yield

@@ -21,7 +21,7 @@ from mixo_env.recordings.distances import filled_m, path_distances_m, wheel_dist
 from mixo_env.recordings.fitting import with_fits
 from mixo_env.recordings.folds import with_folds
 from mixo_env.recordings.manifest import is_scene_name
-from mixo_env.recordings.names import check_expert_name
+from mixo_env.recordings.names import CONSTANT_RATE, GROUNDTRUTH, check_expert_name
 from mixo_env.recordings.provenance import file_hash, software_versions
 from mixo_env.recordings.schema import TRUE_DISTANCE, Manifest, SceneEntry, columns
 from mixo_env.recordings.sequence_files import Reading, Source, read_sources
@@ -31,8 +31,6 @@ from mixo_env.trajectory import Trajectory
 from mixo_env.trajectory.axes import Axes, in_vehicle_axes
 from mixo_env.trajectory.layout import TRUTH_NAMES, sequence_files
 
-GROUNDTRUTH = "groundtruth"
-CONSTANT_RATE = "CONSTANT_RATE"
 """Name of the expert that goes on turning as the others did a step before."""
 
 _PART = re.compile(r"[-_ .]?(?:part|clip|segment|seg)[-_ ]?\d+$", re.IGNORECASE)
@@ -137,8 +135,6 @@ def _check_names(experts: Mapping[str, Path], rules: SequenceRules) -> None:
         taken.add(name)
     if not experts:
         raise ConfigurationError("expected at least one expert, got none: give --expert NAME=FOLDER")
-    if rules.constant_rate:
-        check_expert_name(CONSTANT_RATE, taken)
     for name in (*rules.reading.axes, *rules.despite):
         if name not in ("", GROUNDTRUTH, *experts):
             raise ConfigurationError(f"{name!r} is none of the experts {', '.join(experts)}")
