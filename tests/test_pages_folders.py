@@ -29,15 +29,15 @@ def commands(page: str) -> list[str]:
     return [line for block in blocks for line in block.splitlines() if line]
 
 
-def stand_in(folder: Path) -> Path:
+def stand_in(folder: Path, scenes: int = 5, seconds: int = 3) -> Path:
     """A small simulated folder with two names and the version of a real one."""
     root = folder / "nuscenes"
-    config = SimulationConfig(scenes=5, scenes_per_log=1, seconds=3, width=320, height=180, night=0.0)
+    config = SimulationConfig(scenes=scenes, scenes_per_log=1, seconds=seconds, width=320, height=180, night=0.0)
     simulate(config, root)
     (root / VERSION).rename(root / "v1.0-trainval")
-    scenes = root / "v1.0-trainval" / "scene.json"
-    scenes.write_text(
-        json.dumps([row | {"name": NAMES.get(row["name"], row["name"])} for row in json.loads(scenes.read_text())])
+    table = root / "v1.0-trainval" / "scene.json"
+    table.write_text(
+        json.dumps([row | {"name": NAMES.get(row["name"], row["name"])} for row in json.loads(table.read_text())])
     )
     for path in [*(root / "can_bus").iterdir(), *(root / "exact").iterdir()]:
         for old, new in NAMES.items():

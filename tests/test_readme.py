@@ -65,7 +65,7 @@ def test_a_command_is_understood(
 
 def prepare(work: Path) -> None:
     """What a reader has: a nuScenes folder, a simulated one, a policy, somebody's trajectories."""
-    stand_in(work)
+    stand_in(work, scenes=4, seconds=2)
     (work / "city").symlink_to(work / "nuscenes")
     policy = (ROOT / "examples" / "own_policy.py").read_text(encoding="utf-8")
     (work / "my_policy.py").write_text(policy.replace("Surest", "Mine"), encoding="utf-8")
