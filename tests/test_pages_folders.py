@@ -41,9 +41,9 @@ def stand_in(folder: Path) -> Path:
     )
     simulate(config, root)
     (root / VERSION).rename(root / "v1.0-trainval")
-    scenes = root / "v1.0-trainval" / "scene.json"
-    scenes.write_text(
-        json.dumps([row | {"name": NAMES.get(row["name"], row["name"])} for row in json.loads(scenes.read_text())])
+    table = root / "v1.0-trainval" / "scene.json"
+    table.write_text(
+        json.dumps([row | {"name": NAMES.get(row["name"], row["name"])} for row in json.loads(table.read_text())])
     )
     for path in [*(root / "can_bus").iterdir(), *(root / "exact").iterdir()]:
         for old, new in NAMES.items():
