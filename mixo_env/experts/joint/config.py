@@ -12,8 +12,8 @@ class JointConfig:
     """Everything that may be varied.
 
     Attributes:
-        camera_matches: at most so many matches of a camera, evenly picked, enter; more cost time and tell no more, since
-            neighbouring matches err together.
+        camera_matches: at most so many matches of a camera, evenly picked, enter; more cost time and tell little,
+            since neighbouring matches err together.
         min_matches: a camera with fewer has no say in a step.
         yaw_acceleration_radps2: the yaw rate is expected to change by so much per second (standard deviation).
         tilt_rate_std_radps: standard deviation of pitch and roll rate of the body.
@@ -30,12 +30,12 @@ class JointConfig:
         initial_steps: good steps in a row that end INITIALISING.
     """
 
-    camera_matches: int = 150
+    camera_matches: int = 300
     min_matches: int = 50
     yaw_acceleration_radps2: float = 0.2
     tilt_rate_std_radps: float = 0.036
     slip_std: float = 0.006
-    mounting_std: float = 0.005
+    mounting_std: float = 0.003
     own_yaw_std_rad: float = 1.7e-5
     own_yaw_share: float = 1.0
     freedom: float = 3.0

@@ -21,7 +21,7 @@ def window_weights(start_s: float, end_s: float, knots_s: tuple[float, float, fl
         end_s: of the window, not after the last knot.
         knots_s: increasing times.
     """
-    first, middle, last = knots_s
+    middle = knots_s[1]
     weights = np.zeros(3)
     for k, low, high in ((0, start_s, min(end_s, middle)), (1, max(start_s, middle), end_s)):
         if high > low:
@@ -32,10 +32,10 @@ def window_weights(start_s: float, end_s: float, knots_s: tuple[float, float, fl
 
 
 def knot_covariance(last: FloatArray, change_std: float) -> FloatArray:
-    """Covariance ``(3, 3)`` of three rates: two with the covariance ``(2, 2)``, and a third that starts from the second.
+    """Covariance ``(3, 3)`` of three rates: two that are known, and a third that starts from the second.
 
     Args:
-        last: of the first two.
+        last: ``(2, 2)`` of the first two.
         change_std: standard deviation of the change to the third.
     """
     copy = np.array([[1.0, 0.0], [0.0, 1.0], [0.0, 1.0]])

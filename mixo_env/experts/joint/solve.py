@@ -134,4 +134,4 @@ def solve_step(
         for j in range(cameras):
             largest = max(largest, np.abs((views.local[j] @ step)[:3]).max() / _LARGEST_STEP_RAD)
         x -= step / max(largest, 1.0)
-    return Solved(x, np.linalg.inv(h), sigma, residual, formal)
+    return Solved(x, np.linalg.inv(h).astype(np.float64), sigma, residual, formal)
