@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping
+from typing import Any
 
 import numpy as np
 
@@ -106,7 +107,7 @@ def look(
 
 
 def drive(
-    seed: int, names: tuple[str, ...], steps: int, *, speed: float = 8.0, rate_deg: float = 10.0, **options: float
+    seed: int, names: tuple[str, ...], steps: int, *, speed: float = 8.0, rate_deg: float = 10.0, **options: Any
 ) -> Iterator[tuple[int, dict[str, Sight], float]]:
     """Closing time, sights and true yaw increment [rad] of every step; the yaw rate swings, cameras fire in turn."""
     rng = np.random.default_rng(seed)

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import itertools
 import math
+from collections.abc import Iterator
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -14,6 +16,7 @@ from mixo_env.experts.expert import State
 from mixo_env.experts.joint.config import JointConfig
 from mixo_env.experts.joint.knots import window_weights
 from mixo_env.experts.joint.odometry import JointOdometry
+from mixo_env.experts.joint.sight import Sight
 from tests.joint_rig import RIGS, STEP_US, drive, look, mounted, play, rig
 
 PAPER = RIGS["the paper's"]
@@ -39,7 +42,7 @@ def test_error_and_standard_deviation_are_bounded(name: str, speed: float, rate:
 
 def test_stagger_is_handled_not_ignored() -> None:
     """Swinging 3 deg/s^2, cameras a fifth of a step apart would err by a hundredth of a degree each way."""
-    exact = {"outliers": 0.0, "movers": False}
+    exact: Any = {"outliers": 0.0, "movers": False}
     _, error = play(rig(PAPER), drive(2, PAPER, STEPS, rate_deg=30.0, **exact))
     late = [
         (t, {n: replace(s, start_us=t - STEP_US, end_us=t) for n, s in seen.items()}, y)
@@ -68,7 +71,7 @@ def test_window_is_the_integral_of_the_polygon() -> None:
 def test_one_bad_camera_costs_little(kind: str) -> None:
     """Captured: all of the view turns by .23 deg a step more than the car. Frozen: nothing moves although it does."""
 
-    def spoilt() -> itertools.chain:
+    def spoilt() -> Iterator[tuple[int, dict[str, Sight], float]]:
         rng = np.random.default_rng(9)
         for time_us, sights, yaw in drive(4, PAPER, STEPS):
             if "front_left" in sights:

@@ -86,28 +86,13 @@ def record_scene(scene: Scene, experts: Experts) -> tuple[Columns, Columns]:
     rounds = firing_rounds({camera: track.timestamp_us for camera, track in scene.cameras.items()})
     if len(rounds) < 2:
         raise DatasetError("expected at least two firing rounds, got one: a step needs a start")
-    closing = rounds.closing_time_us
     columns = empty_columns(
         len(rounds), rounds.cameras, INERTIAL_EXPERTS, (*experts.variants, *([JOINT] if experts.joint else []))
     )
     _record_steps(columns, scene, rounds)
 
-    wheels_and_imu = experts.inertial(scene.can_bus, "INERTIAL")
     times = np.unique(rounds.image_time_us[rounds.fired])  # the closing times are among them
-    inertial = wheels_and_imu.at(times)
-    at_close = np.searchsorted(times, closing)
-    columns["distance_m"][1:] = np.diff(inertial.distance_m[at_close])
-    columns["speed_mps"][:] = inertial.speed_mps[at_close]
-    _record_grade(columns, "INERTIAL", wheels_and_imu.at(closing))
-    for grade in INERTIAL_EXPERTS[1:]:
-        try:
-            _record_grade(columns, grade, experts.inertial(scene.can_bus, grade).at(closing))
-        except DatasetError as error:  # its columns stay NaN: a message the scene lacks is no reason to drop it
-            logger.info("%s: %s", scene.name, error)
-    for name in ("truth.yaw_increment_rad", "truth.distance_m", "distance_m", "INERTIAL.yaw_increment_rad"):
-        if not np.isfinite(columns[name][1:]).all():
-            raise DatasetError(f"{name} is not finite in every step: the CAN bus or the poses do not cover the images")
-
+    inertial = _record_inertial(columns, scene, experts, times)
     timings: list[Columns] = []
     watched: dict[str, Watched] = {}
     for j, (camera, track) in enumerate(scene.cameras.items()):
@@ -143,6 +128,27 @@ def _record_steps(columns: Columns, scene: Scene, rounds: Rounds) -> None:
     truth = step_truth(scene.cameras, rounds) | (exact_truth(scene.exact, rounds) if scene.exact else {})
     for name, values in truth.items():
         columns[name][:] = values
+
+
+def _record_inertial(columns: Columns, scene: Scene, experts: Experts, times: NDArray[np.int64]) -> InertialEstimate:
+    """Distance, speed and every inertial grade of the steps; returns wheels and IMU at all ``times`` of images."""
+    can_bus, closing = scene.can_bus, columns["timestamp_us"]
+    assert can_bus is not None
+    wheels_and_imu = experts.inertial(can_bus, "INERTIAL")
+    inertial = wheels_and_imu.at(times)
+    at_close = np.searchsorted(times, closing)
+    columns["distance_m"][1:] = np.diff(inertial.distance_m[at_close])
+    columns["speed_mps"][:] = inertial.speed_mps[at_close]
+    _record_grade(columns, "INERTIAL", wheels_and_imu.at(closing))
+    for grade in INERTIAL_EXPERTS[1:]:
+        try:
+            _record_grade(columns, grade, experts.inertial(can_bus, grade).at(closing))
+        except DatasetError as error:  # its columns stay NaN: a message the scene lacks is no reason to drop it
+            logger.info("%s: %s", scene.name, error)
+    for name in ("truth.yaw_increment_rad", "truth.distance_m", "distance_m", "INERTIAL.yaw_increment_rad"):
+        if not np.isfinite(columns[name][1:]).all():
+            raise DatasetError(f"{name} is not finite in every step: the CAN bus or the poses do not cover the images")
+    return inertial
 
 
 def _record_grade(columns: Columns, grade: str, estimate: InertialEstimate) -> None:
