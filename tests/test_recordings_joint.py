@@ -8,8 +8,9 @@ from functools import partial
 import numpy as np
 import pytest
 
+from experiments.joint_odometry import study
 from mixo_env.envs.replay import Replay
-from mixo_env.errors import ConfigurationError
+from mixo_env.errors import ConfigurationError, RecordingError
 from mixo_env.experts.joint.config import JointConfig
 from mixo_env.experts.monocular.odometry import MonocularOdometry
 from mixo_env.leaderboard.board import build
@@ -74,3 +75,18 @@ def test_it_has_a_row_but_no_vote_and_enters_no_oracle():
     scores = {row.name: row.headline for row in with_it}
     assert all(scores[row.name] == row.headline for row in without)
     assert scores[JOINT].yaw_increment_rmse_deg < 0.1 * scores["CAM_BACK"].yaw_increment_rmse_deg
+
+
+def test_the_study_prints_a_row_for_every_camera_joint_and_huber():
+    bare = synthetic_recordings(0)
+    same = {f"{JOINT}.{name}": bare[f"CAM_BACK.{name}"] for name in VARIANT_COLUMNS}
+    table = study(bare.replace(replace(bare.manifest, variants={JOINT: "CAM_BACK"}), same), {JOINT: 1.5})
+    rows = {row[0]: row[1:] for row in table.rows}
+    assert set(rows) == {*CAMERAS, JOINT, "HUBER"}
+    assert rows[JOINT][:-1] == pytest.approx(rows["CAM_BACK"][:-1], nan_ok=True)
+    assert rows[JOINT][-1] == 1.5
+    inside = rows["CAM_FRONT"][4]
+    assert isinstance(inside, float)
+    assert 55.0 < inside < 80.0  # its noise is normal with the recorded standard deviation
+    with pytest.raises(RecordingError, match="--experts JOINT"):
+        study(bare, {})

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -56,6 +56,15 @@ class Moment:
         seen = [sight.yaw_rad / (1e-6 * (sight.end_us - sight.start_us)) for sight in self.used.values()]
         told = [rate for rate in seen if math.isfinite(rate)]
         return float(np.median(told)) if told else 0.0
+
+
+def halved(moment: Moment) -> Moment:
+    """The same with every second match: enough for an estimate without memory, at half the cost."""
+    few = {
+        name: replace(seen, first=np.ascontiguousarray(seen.first[::2]), second=np.ascontiguousarray(seen.second[::2]))
+        for name, seen in moment.used.items()
+    }
+    return replace(moment, used=few)
 
 
 class Problem:
