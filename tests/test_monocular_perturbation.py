@@ -1,4 +1,4 @@
-"""No measured yaw rate enters any column of a camera or of JOINT: a simulated drive recorded again with its gyros gone mad."""
+"""No measured yaw rate enters any column of a camera or of JOINT: a drive recorded again with mad gyros."""
 
 from __future__ import annotations
 
@@ -24,7 +24,9 @@ from mixo_env.simulator.drive.scenes import simulate_scene
 from tests.corridor import HEIGHT, WIDTH, picture
 
 CAMERAS = ("CAM_FRONT", "CAM_BACK_RIGHT")
-EXPERTS = Experts(partial(MonocularOdometry, config=MonocularConfig(features=600)), InertialOdometry, joint=JointConfig())
+EXPERTS = Experts(
+    partial(MonocularOdometry, config=MonocularConfig(features=600)), InertialOdometry, joint=JointConfig()
+)
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import replace
 
 import numpy as np
 
@@ -21,7 +22,14 @@ from mixo_env.experts.joint.sight import JointStep, Sight
 from mixo_env.experts.joint.solve import BODY, OWN, Solved
 from mixo_env.experts.monocular.camera import MountedCamera
 
+_MOVING_M = 0.3  # the median point of any camera moves by pixels then
 _FEWEST = 8  # matches in the estimate of a camera that has a say: its six unknowns, and two more
+
+
+def _stands(seen: Sight) -> bool:
+    """Nothing moves in the pictures although the car does: they are old, or show dirt on the lens."""
+    moved = np.median(np.abs(seen.second - seen.first).max(axis=1))
+    return abs(seen.distance_m) > _MOVING_M and bool(moved < seen.noise)
 
 
 class JointOdometry:
@@ -77,7 +85,14 @@ class JointOdometry:
         stateless = alone.solve()
         two_frame = alone.increment(stateless)[0] if self._good(alone, stateless) else math.nan
         problem = Problem(self.config, self._cameras, moment, self._rates, self._mountings)
-        return self._report((problem, problem.solve()), used, two_frame)
+        solved = problem.solve()
+        if accused := problem.accused(solved):
+            self._learn_mountings(problem, solved, accused)
+            rest = {name: seen for name, seen in used.items() if name not in accused}
+            moment = replace(moment, used=rest)
+            problem = Problem(self.config, self._cameras, moment, self._rates, self._mountings)
+            solved = problem.solve()
+        return self._report((problem, solved), moment.used, two_frame)
 
     def _check(self, timestamp_us: int, sights: Mapping[str, Sight]) -> None:
         if self._times_us is not None and timestamp_us <= self._times_us[1]:
@@ -105,6 +120,7 @@ class JointOdometry:
             and seen.start_us >= earliest_us
             and seen.end_us > last_us - 5e5 * opening_s
             and name not in self._mountings.misplaced
+            and not _stands(seen)
         }
 
     def _good(self, problem: Problem, solved: Solved) -> bool:
@@ -156,7 +172,11 @@ class JointOdometry:
 
     def _learn(self, problem: Problem, solved: Solved) -> None:
         self._rates.learn(solved.unknowns[1:3], solved.covariance[1:3, 1:3])
+        self._learn_mountings(problem, solved, frozenset(problem.moment.used))
+
+    def _learn_mountings(self, problem: Problem, solved: Solved, cameras: frozenset[str]) -> None:
         variance = np.diag(solved.covariance)
         for j, name in enumerate(problem.moment.used):
-            of = slice(BODY + OWN * j + 1, BODY + OWN * j + 3)
-            self._mountings.learn(name, solved.unknowns[of], variance[of])
+            if name in cameras:
+                of = slice(BODY + OWN * j + 1, BODY + OWN * j + 3)
+                self._mountings.learn(name, solved.unknowns[of], variance[of])

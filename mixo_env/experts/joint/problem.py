@@ -33,6 +33,9 @@ _SWAY_M = 0.004
 
 _SHORTEST_M = 1e-3
 
+_CONTRADICTION_STD = 6.0
+"""A camera whose own yaw error is larger has no say at all."""
+
 _INLIER_STD = 3.0
 """As in monocular/motion.py."""
 
@@ -87,6 +90,7 @@ class Problem:
         mountings: Mountings,
     ) -> None:
         self.moment, self._config, self._rates, self._mountings = moment, config, rates, mountings
+        self._own = (config.own_yaw_std_rad, config.own_yaw_share, config.freedom)
         count = BODY + OWN * len(moment.used)
         self._mean, self._information = np.zeros(count), np.zeros((count, count))
         self._knot_covariance = self._expect_rates()
@@ -156,13 +160,25 @@ class Problem:
 
     def solve(self) -> Solved:
         """From the expected motion."""
-        own = (self._config.own_yaw_std_rad, self._config.own_yaw_share, self._config.freedom)
-        return solve_step(self.views, self._mean.copy(), self._mean, self._information, own)
+        return solve_step(self.views, self._mean.copy(), self._mean, self._information, self._own)
 
     def agree(self, solved: Solved) -> NDArray[np.bool_]:
         """``(n,)`` matches that agree with a solution."""
         noise = np.repeat(solved.noise, np.diff(self.views.start))
         return np.abs(solved.residual) < _INLIER_STD * noise
+
+    def accused(self, solved: Solved) -> frozenset[str]:
+        """Cameras that contradict the solution, unless all do: a vehicle has captured them, or they see no motion."""
+        least, share, _ = self._own
+        agree, start, found = self.agree(solved), self.views.start, set()
+        for j, name in enumerate(self.moment.used):
+            error = abs(float(solved.unknowns[BODY + OWN * j])) / math.hypot(least, share * float(solved.formal[j]))
+            if (
+                error > _CONTRADICTION_STD
+                or float(np.mean(agree[start[j] : start[j + 1]])) < self._config.least_support
+            ):
+                found.add(name)
+        return frozenset(found) if len(found) < len(self.moment.used) else frozenset()
 
     def increment(self, solved: Solved) -> tuple[float, float]:
         """Yaw increment of the step with what it corrects of the one before, and its standard deviation [rad]."""
