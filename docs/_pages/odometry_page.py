@@ -327,6 +327,7 @@ With one camera spoilt, ten scenes of seed 101 (JOINT .00164):
 | camera | left out (a black picture) | sees a vehicle turn by .23 deg a step for 4 s | picture stands still |
 |---|---|---|---|
 | CAM_FRONT | .00288 | .00205 | .00319 |
+| CAM_FRONT_LEFT | .00196 | .00150 | .00203 |
 | CAM_BACK | .00250 | .00239 | .00282 |
 | CAM_BACK_RIGHT | .00152 | .00195 | .00164 |
 """
