@@ -1,4 +1,4 @@
-"""No measured yaw rate enters any column of a camera: a simulated drive recorded again with its gyros gone mad."""
+"""No measured yaw rate enters any column of a camera or of JOINT: a drive recorded again with mad gyros."""
 
 from __future__ import annotations
 
@@ -11,6 +11,7 @@ import simplejpeg
 
 from mixo_env.experts.expert import State
 from mixo_env.experts.inertial import InertialOdometry
+from mixo_env.experts.joint.config import JointConfig
 from mixo_env.experts.monocular.config import MonocularConfig
 from mixo_env.experts.monocular.odometry import MonocularOdometry
 from mixo_env.nuscenes.can_bus import read_can_bus
@@ -23,7 +24,9 @@ from mixo_env.simulator.drive.scenes import simulate_scene
 from tests.corridor import HEIGHT, WIDTH, picture
 
 CAMERAS = ("CAM_FRONT", "CAM_BACK_RIGHT")
-EXPERTS = Experts(partial(MonocularOdometry, config=MonocularConfig(features=600)), InertialOdometry)
+EXPERTS = Experts(
+    partial(MonocularOdometry, config=MonocularConfig(features=600)), InertialOdometry, joint=JointConfig()
+)
 
 
 @dataclass(frozen=True)

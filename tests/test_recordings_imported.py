@@ -160,7 +160,7 @@ def test_names_that_cannot_be_used(name):
 
 
 def test_the_names_of_all_rows_are_reserved():
-    rows = (*POLICIES, *FLOORS)
+    rows = ("JOINT", *POLICIES, *FLOORS)
     assert [name for name in rows if not is_reserved(name)] == []
     assert set(ROWS) == set(rows)
     assert not is_reserved("ORB-SLAM3")

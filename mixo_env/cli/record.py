@@ -29,6 +29,7 @@ class Record:
       mixo record city --out front --cameras CAM_FRONT CAM_FRONT_LEFT
       mixo record city --out recorded --despite gyro-size clock-offset
       mixo record city --out recorded --retrained CAM_BACK_RIGHT          rows "w/ retrained vocabulary" of the paper
+      mixo record city --out recorded --experts JOINT                     and all cameras in one estimate
       mixo benchmark --recordings recorded                                what to do next
     """
 
@@ -60,6 +61,8 @@ class Record:
     """Folds of the cross-validation: whole drives, or the paper's contiguous blocks of scenes."""
     retrained: tuple[str, ...] = ()
     """Cameras to record once more with a vocabulary retrained on 20 % of the images of the other folds."""
+    experts: tuple[Literal["JOINT"], ...] = ()
+    """Experts beside the single cameras; JOINT: all cameras in one estimate, a row of its own that never votes."""
     despite: tuple[str, ...] = ()
     """Checks of `mixo inspect` whose problems are accepted, by the name that stands before the remark."""
     data_version: str | None = None
@@ -69,6 +72,7 @@ class Record:
         """Record and say what was recorded."""
         from mixo_env.cli.progress import progress
         from mixo_env.errors import ConfigurationError, unknown
+        from mixo_env.experts.joint.config import JointConfig
         from mixo_env.experts.monocular.config import MonocularConfig
         from mixo_env.nuscenes.checks.judge import JudgedDataset
         from mixo_env.nuscenes.selecting import chosen
@@ -103,6 +107,7 @@ class Record:
             folds=self.folds,
             data_version=self.data_version,
             variants=variants,
+            joint=JointConfig() if "JOINT" in self.experts else None,
         )
         with progress("recording scenes") as report:
             recordings = record(

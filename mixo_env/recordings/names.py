@@ -10,6 +10,7 @@ from mixo_env.nuscenes.selections import ALL_CAMERAS
 from mixo_env.recordings.schema import INERTIAL_EXPERTS, STEP_COLUMNS, TRACKS
 
 ROWS = (
+    "JOINT",
     "HIGHEST MATCH",
     "MEAN",
     "MEDIAN",

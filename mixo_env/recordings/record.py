@@ -25,6 +25,7 @@ from mixo_env.experts.inertial import (
     InertialOdometry,
     ProcessNoise,
 )
+from mixo_env.experts.joint.config import JointConfig
 from mixo_env.experts.monocular.config import MonocularConfig
 from mixo_env.nuscenes.scene import Scene
 from mixo_env.nuscenes.selections import CAMERAS
@@ -32,6 +33,7 @@ from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.fitting import with_fits
 from mixo_env.recordings.folder import claimed
 from mixo_env.recordings.folds import FOLD_RULES, OUT_OF_DISTRIBUTION, with_folds
+from mixo_env.recordings.joint import JOINT, host
 from mixo_env.recordings.manifest import is_scene_name
 from mixo_env.recordings.parts import Part, PartFolder, finished_parts
 from mixo_env.recordings.processes import KILLED, Killed, each
@@ -95,6 +97,7 @@ class RecordConfig:
         folds: rule of ``FOLD_RULES``: ``"log"``, or the paper's ``"contiguous"``.
         data_version: printed with every result; ``None`` is the version of the data set.
         variants: cameras once more with retrained vocabularies, by the name of their row; never voters.
+        joint: settings of JOINT, recorded as a variant, too; ``None`` leaves it out.
     """
 
     cameras: tuple[str, ...] = CAMERAS
@@ -103,6 +106,7 @@ class RecordConfig:
     folds: str = "log"
     data_version: str | None = None
     variants: Mapping[str, Retrained] = field(default_factory=dict)
+    joint: JointConfig | None = None
 
     def __post_init__(self) -> None:
         """Check names.
@@ -120,7 +124,8 @@ class RecordConfig:
 
     def parameters(self) -> dict[str, Any]:
         """What decides the recorded values, as plain JSON values."""
-        return {
+        joint = {} if self.joint is None else {"joint": asdict(self.joint)}
+        return joint | {
             "schema_version": SCHEMA_VERSION,
             "cameras": list(self.cameras),
             "monocular": asdict(self.monocular),
@@ -151,7 +156,7 @@ def default_experts(config: RecordConfig, scene: str) -> Experts:
         name: (variant.camera, camera(replace(config.monocular, vocabulary=str(variant.vocabulary[scene]))))
         for name, variant in config.variants.items()
     }
-    return Experts(camera(config.monocular), InertialOdometry, variants)
+    return Experts(camera(config.monocular), InertialOdometry, variants, config.joint)
 
 
 def record(
@@ -261,7 +266,8 @@ def _assemble(parts: list[Part], config: RecordConfig, version: str, skipped: di
         },
         software=software_versions(),
         camera_cost_ms=dict.fromkeys(config.cameras, CAMERA_COST_MS),
-        variants={name: variant.camera for name, variant in config.variants.items()},
+        variants={name: variant.camera for name, variant in config.variants.items()}
+        | ({} if config.joint is None else {JOINT: host(config.cameras)}),
     )
     recordings = Recordings(manifest, _joined([part.columns for part in parts]))
     vehicles = training_constants(recordings)

@@ -19,10 +19,12 @@ from numpy.typing import NDArray
 from mixo_env.errors import DatasetError
 from mixo_env.experts.expert import CameraExpert, CameraStep, State
 from mixo_env.experts.inertial import InertialEstimate
+from mixo_env.experts.joint.config import JointConfig
 from mixo_env.nuscenes.images import UNDECODABLE, describe_broken, image_fault, read_jpeg, too_many_broken
 from mixo_env.nuscenes.scene import CameraCalibration, CameraTrack, CanBus, Scene
 from mixo_env.recordings.carry import carry_camera
 from mixo_env.recordings.clock import NONE, Rounds, firing_rounds
+from mixo_env.recordings.joint import JOINT, Watched, record_joint
 from mixo_env.recordings.schema import INERTIAL_EXPERTS, empty_columns
 from mixo_env.recordings.truth import exact_truth, own_window_truth, step_truth
 
@@ -56,11 +58,13 @@ class Experts:
         camera: odometry of one camera.
         inertial: one inertial grade from a CAN bus; raises :class:`DatasetError` when its messages are missing.
         variants: name -> camera, and other odometry that sees its images, too.
+        joint: settings of JOINT, which all cameras' odometries then feed; ``None`` leaves it out.
     """
 
     camera: Callable[[CameraCalibration], CameraExpert]
     inertial: Callable[[CanBus, str], InertialExpert]
     variants: Mapping[str, tuple[str, Callable[[CameraCalibration], CameraExpert]]] = field(default_factory=dict)
+    joint: JointConfig | None = None
 
 
 def record_scene(scene: Scene, experts: Experts) -> tuple[Columns, Columns]:
@@ -82,27 +86,15 @@ def record_scene(scene: Scene, experts: Experts) -> tuple[Columns, Columns]:
     rounds = firing_rounds({camera: track.timestamp_us for camera, track in scene.cameras.items()})
     if len(rounds) < 2:
         raise DatasetError("expected at least two firing rounds, got one: a step needs a start")
-    closing = rounds.closing_time_us
-    columns = empty_columns(len(rounds), rounds.cameras, INERTIAL_EXPERTS, tuple(experts.variants))
+    columns = empty_columns(
+        len(rounds), rounds.cameras, INERTIAL_EXPERTS, (*experts.variants, *([JOINT] if experts.joint else []))
+    )
     _record_steps(columns, scene, rounds)
 
-    wheels_and_imu = experts.inertial(scene.can_bus, "INERTIAL")
     times = np.unique(rounds.image_time_us[rounds.fired])  # the closing times are among them
-    inertial = wheels_and_imu.at(times)
-    at_close = np.searchsorted(times, closing)
-    columns["distance_m"][1:] = np.diff(inertial.distance_m[at_close])
-    columns["speed_mps"][:] = inertial.speed_mps[at_close]
-    _record_grade(columns, "INERTIAL", wheels_and_imu.at(closing))
-    for grade in INERTIAL_EXPERTS[1:]:
-        try:
-            _record_grade(columns, grade, experts.inertial(scene.can_bus, grade).at(closing))
-        except DatasetError as error:  # its columns stay NaN: a message the scene lacks is no reason to drop it
-            logger.info("%s: %s", scene.name, error)
-    for name in ("truth.yaw_increment_rad", "truth.distance_m", "distance_m", "INERTIAL.yaw_increment_rad"):
-        if not np.isfinite(columns[name][1:]).all():
-            raise DatasetError(f"{name} is not finite in every step: the CAN bus or the poses do not cover the images")
-
-    timings = []
+    inertial = _record_inertial(columns, scene, experts, times)
+    timings: list[Columns] = []
+    watched: dict[str, Watched] = {}
     for j, (camera, track) in enumerate(scene.cameras.items()):
         rows = np.flatnonzero(rounds.fired[:, j])
         image = rounds.image[rows, j]
@@ -110,13 +102,19 @@ def record_scene(scene: Scene, experts: Experts) -> tuple[Columns, Columns]:
         made = {camera: experts.camera}
         made |= {name: make for name, (of, make) in experts.variants.items() if of == camera}
         for name, make in made.items():
-            steps, timing = _run_camera(name, make(track.calibration), track, image, inertial.distance_m[at_image])
+            expert = make(track.calibration)
+            if experts.joint and name == camera:
+                expert = watched[camera] = Watched(expert, experts.joint.camera_matches)
+            steps, timing = _run_camera(name, expert, track, image, inertial.distance_m[at_image])
             timings.append(timing | {"scene": np.full(len(image), scene.name, object)})
             sound = np.isfinite(timing["expert_ms"])  # the other images are as good as never taken
             rows, image, at_image = rows[sound], image[sound], at_image[sound]
             if name == camera:
                 _record_images(columns, track, rows, image)
             _record_camera(columns, name, camera, steps, rows)
+    if experts.joint:
+        timing = record_joint(columns, rounds, watched, experts.joint)
+        timings.append(timing | {"scene": np.full(len(rounds), scene.name, object)})
     return columns, {name: np.concatenate([timing[name] for timing in timings]) for name in TIMING_COLUMNS}
 
 
@@ -130,6 +128,27 @@ def _record_steps(columns: Columns, scene: Scene, rounds: Rounds) -> None:
     truth = step_truth(scene.cameras, rounds) | (exact_truth(scene.exact, rounds) if scene.exact else {})
     for name, values in truth.items():
         columns[name][:] = values
+
+
+def _record_inertial(columns: Columns, scene: Scene, experts: Experts, times: NDArray[np.int64]) -> InertialEstimate:
+    """Distance, speed and every inertial grade of the steps; returns wheels and IMU at all ``times`` of images."""
+    can_bus, closing = scene.can_bus, columns["timestamp_us"]
+    assert can_bus is not None
+    wheels_and_imu = experts.inertial(can_bus, "INERTIAL")
+    inertial = wheels_and_imu.at(times)
+    at_close = np.searchsorted(times, closing)
+    columns["distance_m"][1:] = np.diff(inertial.distance_m[at_close])
+    columns["speed_mps"][:] = inertial.speed_mps[at_close]
+    _record_grade(columns, "INERTIAL", wheels_and_imu.at(closing))
+    for grade in INERTIAL_EXPERTS[1:]:
+        try:
+            _record_grade(columns, grade, experts.inertial(can_bus, grade).at(closing))
+        except DatasetError as error:  # its columns stay NaN: a message the scene lacks is no reason to drop it
+            logger.info("%s: %s", scene.name, error)
+    for name in ("truth.yaw_increment_rad", "truth.distance_m", "distance_m", "INERTIAL.yaw_increment_rad"):
+        if not np.isfinite(columns[name][1:]).all():
+            raise DatasetError(f"{name} is not finite in every step: the CAN bus or the poses do not cover the images")
+    return inertial
 
 
 def _record_grade(columns: Columns, grade: str, estimate: InertialEstimate) -> None:

@@ -67,6 +67,8 @@ class MonocularOdometry:
         self._solver = PairSolver(self.camera, self.config)
         self._course = Course(self.config.slip_std, self.config.course_spread)
         self._turn = Turn(self.config.yaw_acceleration_radps2)
+        self.pair: Pair | None = None
+        """The last two images compared, before any memory; ``None`` where they could not be."""
         self._previous: Frame | None = None
         self._heading = Heading(self.config.yaw_acceleration_radps2)
         self._solved: tuple[Pair, Motion] | None = None
@@ -94,6 +96,7 @@ class MonocularOdometry:
             DatasetError: wrong type or size of image, time that does not increase, distance that is not finite.
         """
         self._check(image, timestamp_us, distance_m)
+        self.pair = None
         previous, last, working = self._previous, self._last_image, self.camera.shrink(image)
         gap_s = math.inf if self._last_timestamp_us is None else (timestamp_us - self._last_timestamp_us) * 1e-6
         self._last_timestamp_us, self._last_image = timestamp_us, working
@@ -103,7 +106,8 @@ class MonocularOdometry:
         frame = self._previous = self._solver.frame(working)
         if previous is None or gap_s > self.config.max_gap_s:
             return self._close(None, gap_s, distance_m)
-        return self._close(self._solver.compare(previous, frame, gap_s, distance_m), gap_s, distance_m)
+        self.pair = self._solver.compare(previous, frame, gap_s, distance_m)
+        return self._close(self.pair, gap_s, distance_m)
 
     def _check(self, image: NDArray[np.uint8], timestamp_us: int, distance_m: float) -> None:
         name, camera = self.camera.channel, self.camera

@@ -152,7 +152,7 @@ class _Transfer(NamedTuple):
     reach: float
 
 
-class _Equations(NamedTuple):
+class Equations(NamedTuple):
     """Normal equations ``h (6, 6) step = g (6,)``, and rows of the Jacobian ``(6,)`` of one match to work in."""
 
     h: FloatArray
@@ -205,7 +205,7 @@ def _impossible(seen: _Transfer, least: float, sigma: float) -> bool:
 
 @compiled
 def _differentiate(
-    point: tuple[float, float, float, float], seen: _Transfer, rho: float, about: _Linearised, rows: _Equations
+    point: tuple[float, float, float, float], seen: _Transfer, rho: float, about: _Linearised, rows: Equations
 ) -> None:
     """Overwrite both Jacobian rows of a match ``point`` (a, b, u, v) with inverse depth ``rho``."""
     a, b, u, v = point
@@ -236,7 +236,7 @@ def _add_matches(
     mean: float,
     sigma: float,
     residual: tuple[FloatArray, FloatArray],
-    equations: _Equations,
+    equations: Equations,
 ) -> None:
     """Overwrite the normal equations (lower half) with those of all matches that are possible.
 
@@ -277,6 +277,35 @@ def _add_matches(
 
 
 @compiled
+def match_equations(
+    matches: Matches,
+    least: FloatArray,
+    mounting: Mounting,
+    x: FloatArray,
+    distance: float,
+    sigma: float,
+    residual: tuple[FloatArray, FloatArray],
+    equations: Equations,
+) -> None:
+    """Overwrite the normal equations, both halves, with those of one pair without any prior, for a sum over cameras.
+
+    Args:
+        matches: of the pair.
+        least: ``(n,)`` least inverse depths.
+        mounting: of the camera.
+        x: ``(6,)`` unknowns so far.
+        distance: travelled [m], not 0.
+        sigma: position noise so far.
+        residual: ``(n,)`` as in ``Refined``, and ``(n,)`` across the lines for all matches; both overwritten.
+        equations: overwritten.
+    """
+    _add_matches(matches, least, _linearise(x, distance, mounting), x[5], sigma, residual, equations)
+    for k in range(6):
+        for j in range(k):
+            equations.h[j, k] = equations.h[k, j]
+
+
+@compiled
 def _add_priors(h: FloatArray, g: FloatArray, x: FloatArray, variance: float, expected: Expected) -> None:
     """Complete the normal equations: their upper half, and the priors against noise of this ``variance``."""
     for k in range(6):
@@ -296,7 +325,7 @@ def _add_priors(h: FloatArray, g: FloatArray, x: FloatArray, variance: float, ex
 
 
 @compiled
-def _scale(residual: FloatArray, across: FloatArray, sigma: float, noise: float) -> float:
+def robust_noise(residual: FloatArray, across: FloatArray, sigma: float, noise: float) -> float:
     """Robust noise of the matches that are not plainly wrong, given the last one and the one expected."""
     near = np.abs(across[np.isfinite(residual) & (np.abs(across) < _WRONG * sigma)])
     if near.size > _LEAST_SCALED:
@@ -322,7 +351,7 @@ def refine_motion(matches: Matches, mounting: Mounting, expected: Expected, yaw:
     least = least_inverse_depths(matches.second, mounting)
     residual, across = np.empty(n), np.empty(n)
     sigma = _WIDE * expected.noise
-    equations = _Equations(np.zeros((6, 6)), np.zeros(6), np.zeros(6), np.zeros(6))
+    equations = Equations(np.zeros((6, 6)), np.zeros(6), np.zeros(6), np.zeros(6))
     for _ in range(iterations):
         about = _linearise(x, s, mounting)
         _add_matches(matches, least, about, x[5], sigma, (residual, across), equations)
@@ -332,7 +361,7 @@ def refine_motion(matches: Matches, mounting: Mounting, expected: Expected, yaw:
         if largest > 1.0:
             step /= largest
         x -= step
-        sigma = _scale(residual, across, sigma, expected.noise)
+        sigma = robust_noise(residual, across, sigma, expected.noise)
     about = _linearise(x, s, mounting)
     first, second = matches
     for i in range(n):

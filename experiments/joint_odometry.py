@@ -1,0 +1,138 @@
+"""Tight against loose coupling: JOINT beside the single cameras and HUBER of the same cameras, from a recording.
+
+mixo record city --out recorded --experts JOINT
+python -m experiments.joint_odometry --recordings recorded
+"""
+
+from __future__ import annotations
+
+import logging
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixo_env.errors import MixoError, RecordingError
+from mixo_env.leaderboard.board import build
+from mixo_env.leaderboard.rows import Row
+from mixo_env.recordings.collection import Recordings
+from mixo_env.recordings.joint import JOINT
+from mixo_env.recordings.store import TIMINGS_FILE, load_recordings, read_columns
+from mixo_env.recordings.variants import as_variant
+from mixo_env.tables import Column, Table
+
+logger = logging.getLogger(__name__)
+
+TURNING_RAD = np.radians(45.0)
+"""A scene whose heading covers more than this is a turning one."""
+
+COLUMNS = (
+    Column("row"),
+    Column("all", "deg/m", ".5f"),
+    Column("turning", "deg/m", ".5f"),
+    Column("straight", "deg/m", ".5f"),
+    Column("increment", "deg", ".4f"),
+    Column("within 1 std", "%", ".0f"),
+    Column("within 1.96 std", "%", ".0f"),
+    Column("CPU", "ms", ".2f"),
+)
+
+
+@dataclass(frozen=True)
+class JointOdometryStudy:
+    """Print accuracy, calibration and cost of JOINT."""
+
+    recordings: Path
+    """Folder of a recording made with ``--experts JOINT``."""
+
+    def run(self) -> Table:
+        """Score every row against the headline's truth."""
+        recordings = load_recordings(self.recordings)
+        spent = _spent_ms(self.recordings)
+        return study(recordings, spent)
+
+
+def study(recordings: Recordings, spent_ms: dict[str, float]) -> Table:
+    """The table of a recording.
+
+    Args:
+        recordings: with JOINT.
+        spent_ms: median CPU time of an image, or of a step of JOINT; empty: unknown.
+
+    Raises:
+        RecordingError: without JOINT.
+    """
+    if JOINT not in recordings.manifest.variants:
+        raise RecordingError(f"expected a recording with {JOINT}, got none: mixo record ... --experts {JOINT}")
+    names = (*recordings.manifest.cameras, JOINT, "HUBER")
+    board = build(recordings, policies=names, tracks=("VISION",), night=False)
+    turning = _turning(board.recordings)
+    rows = []
+    for row in board.tables[0].rows:
+        inside = _coverage(recordings, row.name)
+        increment = row.headline.yaw_increment_rmse_deg
+        rows.append([row.name, *_relative(row, turning), increment, *inside, spent_ms.get(row.name, np.nan)])
+    caption = (
+        f"Mean relative rotation error in track VISION against {board.headline}, {len(board.recordings)} scenes, "
+        f"{int(turning.sum())} of them turning; CPU: median of an image, of {JOINT} the solve of a step."
+    )
+    return Table(caption, COLUMNS, rows)
+
+
+def _turning(recordings: Recordings) -> NDArray[np.bool_]:
+    """``(scenes,)``."""
+    yaws = [recordings.rows(i)["truth.yaw_rad"] for i in range(len(recordings))]
+    return np.array([np.ptp(yaw) > TURNING_RAD for yaw in yaws])
+
+
+def _relative(row: Row, turning: NDArray[np.bool_]) -> list[float]:
+    """Mean error [deg/m] in all scenes, the turning and the straight ones; NaN where there is none."""
+    relative = next(iter(row.errors.values())).relative
+    tested, turns = row.run.tested[relative.scene], turning[relative.scene]
+    parts = (relative.rotation_deg_per_m[tested & which] for which in (np.ones_like(turns), turns, ~turns))
+    return [float(part.mean()) if len(part) else np.nan for part in parts]
+
+
+def _coverage(recordings: Recordings, name: str) -> list[float]:
+    """Share [%] of the increments within 1 and 1.96 of their standard deviations of the exact truth."""
+    expert = recordings.manifest.variants.get(name, name)
+    if expert not in recordings.manifest.cameras:
+        return [np.nan, np.nan]
+    shown = as_variant(recordings, name)
+    ratio = []
+    for i in range(len(shown)):
+        scene = shown.rows(i)
+        error = scene[f"{expert}.yaw_increment_rad"] - np.diff(scene["exact.yaw_rad"], prepend=np.nan)
+        ratio.append(np.abs(error) / scene[f"{expert}.yaw_std_rad"])
+    told = np.concatenate(ratio)
+    told = told[np.isfinite(told)]
+    return [100.0 * float(np.mean(told < limit)) for limit in (1.0, 1.96)] if len(told) else [np.nan, np.nan]
+
+
+def _spent_ms(folder: Path) -> dict[str, float]:
+    """Row -> median CPU time; empty without timings."""
+    path = folder / TIMINGS_FILE
+    if not path.exists():
+        return {}
+    timings, _, _ = read_columns(path.read_bytes())
+    names = timings["camera"].astype(str)
+    return {str(name): float(np.nanmedian(timings["expert_ms"][names == name])) for name in np.unique(names)}
+
+
+def main(arguments: list[Any] | None = None) -> int:
+    """Run the command line."""
+    import tyro
+
+    try:
+        print(tyro.cli(JointOdometryStudy, args=arguments).run().text(), end="")
+    except MixoError as error:
+        logger.error("%s", error)
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,1 @@
+"""JOINT: all cameras of a rig in one estimate per step (tight coupling)."""
