@@ -30,7 +30,7 @@ def floors(recordings: Recordings) -> tuple[float, float]:
     """Error [deg/m] against the poses without their lag: of their estimated noise, and of the exact yaw."""
     course = Course(recordings, "truth")
     exact = with_wheels(recordings, with_truth(recordings, "exact")["truth.yaw_increment_rad"])
-    told, true = (course.measure(motion).relative.rotation_deg_per_m for motion in (noisy_truth(recordings), exact))
+    told, true = (course.measure(travel).relative.rotation_deg_per_m for travel in (noisy_truth(recordings), exact))
     return (float(told.mean()), float(true.mean())) if len(true) else (float("nan"), float("nan"))
 
 

@@ -59,23 +59,23 @@ def test_single_expert_is_reproduced_bit_for_bit(recordings: Recordings) -> None
         for j, expert in enumerate(recordings.voters(track)):
             policy = Single(expert)
             prepare(policy, ELSEWHERE, track)
-            motion = rollout(policy, recordings, track)
-            np.testing.assert_array_equal(motion.yaw_increment_rad, votes[:, j], err_msg=expert)
+            travel = rollout(policy, recordings, track)
+            np.testing.assert_array_equal(travel.yaw_increment_rad, votes[:, j], err_msg=expert)
 
 
 def test_reference_expert_is_itself_where_it_does_not_vote(recordings: Recordings) -> None:
     policy = Single("INERTIAL")
     prepare(policy, ELSEWHERE, "CONSUMER")
-    motion = rollout(policy, recordings, "CONSUMER")
-    np.testing.assert_array_equal(motion.yaw_increment_rad, recordings["INERTIAL.yaw_increment_rad"].astype(np.float64))
+    travel = rollout(policy, recordings, "CONSUMER")
+    np.testing.assert_array_equal(travel.yaw_increment_rad, recordings["INERTIAL.yaw_increment_rad"].astype(np.float64))
 
 
 @pytest.mark.parametrize("name", ["LINEAR", "MEDIAN", "ORACLE HULL"])
 def test_rollout_ends_where_the_replay_ends(recordings: Recordings, name: str) -> None:
     policy = create(name, recordings)
     prepare(policy, ELSEWHERE, "CONSUMER")
-    motion = rollout(policy, recordings, "CONSUMER", privileged=policy.privileged)
-    estimate = poses(motion, Course(recordings).poses, recordings.offsets)
+    travel = rollout(policy, recordings, "CONSUMER", privileged=policy.privileged)
+    estimate = poses(travel, Course(recordings).poses, recordings.offsets)
     replay = Replay(recordings, track="CONSUMER", privileged=policy.privileged)
     for _ in play(policy, replay):
         pass
@@ -112,12 +112,12 @@ def test_floors_hold_the_true_yaw_and_the_stated_distance(recordings: Recordings
 def test_measures_agree_with_plain_loops(recordings: Recordings) -> None:
     policy = create("MEAN", recordings)
     prepare(policy, ELSEWHERE, "VISION")
-    motion = rollout(policy, recordings, "VISION")
-    errors = Course(recordings).measure(motion)
+    travel = rollout(policy, recordings, "VISION")
+    errors = Course(recordings).measure(travel)
     rows = recordings.rows(2)
     steps = slice(recordings.offsets[2] + 1, recordings.offsets[3])
     x, y, yaw = dead_reckon(
-        motion.yaw_increment_rad[steps],
+        travel.yaw_increment_rad[steps],
         rows["distance_m"][1:].astype(np.float64) * 1.01,
         start=(rows["truth.x_m"][0], rows["truth.y_m"][0], rows["truth.yaw_rad"][0]),
         course_offset_rad=-0.007,
@@ -128,7 +128,7 @@ def test_measures_agree_with_plain_loops(recordings: Recordings) -> None:
     assert errors.absolute.translation_m[2] == pytest.approx(np.sqrt(np.mean(squared)))
     degrees = np.degrees(yaw - rows["truth.yaw_rad"])
     assert errors.absolute.rotation_deg[2] == pytest.approx(np.sqrt(np.mean(degrees**2)))
-    step_error = np.degrees(motion.yaw_increment_rad[steps] - rows["truth.yaw_increment_rad"][1:])
+    step_error = np.degrees(travel.yaw_increment_rad[steps] - rows["truth.yaw_increment_rad"][1:])
     assert errors.squared_yaw_increment_deg2[2] == pytest.approx(np.sum(step_error**2), rel=1e-6)
     assert errors.steps[2] == len(step_error)
 
@@ -139,9 +139,9 @@ def test_exact_truth_starts_from_its_own_first_pose(recordings: Recordings) -> N
 
     policy = create("MEAN", recordings)
     prepare(policy, ELSEWHERE, "PAPER")
-    motion = rollout(policy, recordings, "PAPER")
-    written = Course(recordings).measure(motion).absolute.translation_m
-    exact = Course(changed(recordings, moved), "exact").measure(motion).absolute.translation_m
+    travel = rollout(policy, recordings, "PAPER")
+    written = Course(recordings).measure(travel).absolute.translation_m
+    exact = Course(changed(recordings, moved), "exact").measure(travel).absolute.translation_m
     np.testing.assert_allclose(exact, written, atol=1e-9)
 
 
@@ -174,7 +174,7 @@ def test_truth_of_the_tested_scenes_never_reaches_a_policy(
         CrossValidation(data, bundled=never).run(name, "PAPER", folds=[fold])
         for data in (recordings, changed(recordings, shifted))
     ]
-    before, after = (run.motion.yaw_increment_rad[held_out] for run in runs)
+    before, after = (run.travel.yaw_increment_rad[held_out] for run in runs)
     np.testing.assert_array_equal(before, after)
     assert np.isfinite(before).sum() > 100
 

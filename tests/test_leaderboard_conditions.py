@@ -70,9 +70,9 @@ def test_oracles_choose_by_the_truth_that_scores_them(board: Leaderboard) -> Non
     for table in board.tables:
         rows = {row.name: row for row in table.rows}
         for name in ORACLES:
-            exact, noisy = (rows[name].run.motions[truth][0].yaw_increment_rad for truth in ("exact", "truth"))
+            exact, noisy = (rows[name].run.travels[truth][0].yaw_increment_rad for truth in ("exact", "truth"))
             assert not np.array_equal(exact, noisy)
-        crossed = board.courses["exact"].measure(rows["MULTICAMERA GT"].run.motions["truth"][0])
+        crossed = board.courses["exact"].measure(rows["MULTICAMERA GT"].run.travels["truth"][0])
         own = rows["MULTICAMERA GT"].headline.rotation_deg_per_m.mean
         assert own < 0.7 * crossed.relative.rotation_deg_per_m.mean()
 
@@ -200,15 +200,15 @@ def test_a_row_of_several_seeds_is_the_mean_of_their_errors(
     monkeypatch.setattr(Mixo.__init__, "__kwdefaults__", Mixo.__init__.__kwdefaults__ | {"min_updates": 20})
     board = build(recordings, tracks=("VISION",), policies=("MIXO",), seeds=2)
     (row,) = board.tables[0].rows
-    one, other = row.run.motions["exact"]
+    one, other = row.run.travels["exact"]
     assert not np.array_equal(one.yaw_increment_rad, other.yaw_increment_rad)
-    errors = [board.courses["exact"].measure(motion) for motion in (one, other)]
+    errors = [board.courses["exact"].measure(travel) for travel in (one, other)]
     means = [error.relative.rotation_deg_per_m.mean() for error in errors]
     assert row.headline.rotation_deg_per_m.mean == pytest.approx(np.mean(means))
     assert row.headline.rotation_deg_per_m.mean > min(means)
     assert row.headline.ate_deg == pytest.approx(np.mean([error.absolute.rotation_deg.mean() for error in errors]))
     alone = build(recordings, tracks=("VISION",), policies=("MIXO",)).tables[0].rows[0]
-    np.testing.assert_array_equal(alone.run.motion.yaw_increment_rad, one.yaw_increment_rad)
+    np.testing.assert_array_equal(alone.run.travel.yaw_increment_rad, one.yaw_increment_rad)
     assert mean_errors(errors[:1]) is errors[0]
 
 

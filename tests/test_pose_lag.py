@@ -167,9 +167,9 @@ def test_written_poses_stay_a_course_of_their_own():
     protocol = CrossValidation(late_recordings(LAG_S, scenes=8))
     exact = np.diff(protocol.recordings["exact.yaw_rad"], prepend=np.nan)
     exact[protocol.recordings.offsets[:-1]] = np.nan
-    motion = with_wheels(protocol.recordings, exact)
+    travel = with_wheels(protocol.recordings, exact)
     written, corrected = (
-        Course(protocol.recordings, truth).measure(motion).absolute.rotation_deg.mean()
+        Course(protocol.recordings, truth).measure(travel).absolute.rotation_deg.mean()
         for truth in ("written", "truth")
     )
     assert corrected < 0.2 * written

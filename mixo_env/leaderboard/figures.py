@@ -62,14 +62,14 @@ def draw_trajectories(board: Leaderboard, path: Path) -> None:
     axes: Any = figure.subplots(3, len(scenes), squeeze=False, height_ratios=(3.4, 2.6, lanes))
     course = board.courses[board.headline]
     styles = _styles(rows)
-    motions = [(row, poses(row.run.motion, course.poses, course.offsets)) for row in rows]
+    travels = [(row, poses(row.run.travel, course.poses, course.offsets)) for row in rows]
     for column, scene in enumerate(scenes):
         steps = slice(*course.offsets[scene : scene + 2])
         above, middle, below = axes[:, column]
         entry = board.recordings.scenes[scene]
         way_m = course.travelled_m[steps]
         above.plot(*_from_start(course.poses, course.poses, steps), color="black", linewidth=3.0, alpha=0.35)
-        for row, estimate in motions:
+        for row, estimate in travels:
             if not row.run.tested[scene]:
                 continue
             above.plot(*_from_start(estimate, course.poses, steps), **styles[row.name])

@@ -96,7 +96,7 @@ class Scorer:
     def row(self, track: str, run: Run) -> Row:
         """Measure a run against every truth."""
         errors = {
-            truth: mean_errors([course.measure(motion) for motion in run.motions[truth]])
+            truth: mean_errors([course.measure(travel) for travel in run.travels[truth]])
             for truth, course in self._courses.items()
         }
         scores = {truth: self.score(measured, run.tested) for truth, measured in errors.items()}

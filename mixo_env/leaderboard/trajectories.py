@@ -72,7 +72,7 @@ def ways(
     for name in dict.fromkeys((*recordings.experts, *chosen)):
         progress(name)
         run: Run = protocol.run(name, track, folds=protocol.folds[-1:] if protocol.expensive(name) else None)
-        yield from _scenes(name, poses(run.motion, course.poses, course.offsets), run.tested, protocol.recordings)
+        yield from _scenes(name, poses(run.travel, course.poses, course.offsets), run.tested, protocol.recordings)
 
 
 def write_way(folder: Path, way: Way, form: Format) -> Path:
