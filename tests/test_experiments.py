@@ -14,7 +14,7 @@ from mixo_env.experts.expert import State
 from mixo_env.fusion import dead_reckon
 from mixo_env.leaderboard.board import build, choose
 from mixo_env.leaderboard.crossvalidation import CrossValidation
-from mixo_env.leaderboard.evaluation import FLOORS, Course, lost_tracks, poses, rollout
+from mixo_env.leaderboard.evaluation import FLOORS, Truth, lost_tracks, poses, rollout
 from mixo_env.policies.fitting import prepare
 from mixo_env.policies.gate import Mixo
 from mixo_env.policies.playing import play
@@ -75,7 +75,7 @@ def test_rollout_ends_where_the_replay_ends(recordings: Recordings, name: str) -
     policy = create(name, recordings)
     prepare(policy, ELSEWHERE, "CONSUMER")
     travel = rollout(policy, recordings, "CONSUMER", privileged=policy.privileged)
-    estimate = poses(travel, Course(recordings).poses, recordings.offsets)
+    estimate = poses(travel, Truth(recordings).poses, recordings.offsets)
     replay = Replay(recordings, track="CONSUMER", privileged=policy.privileged)
     for _ in play(policy, replay):
         pass
@@ -97,15 +97,15 @@ def test_batch_of_scenes_equals_each_scene_alone(recordings: Recordings) -> None
 
 
 def test_floors_hold_the_true_yaw_and_the_stated_distance(recordings: Recordings) -> None:
-    course = Course(recordings)
-    wheels, true, _ = (course.measure(FLOORS[name](recordings)) for name in FLOORS)
+    truth = Truth(recordings)
+    wheels, true, _ = (truth.measure(FLOORS[name](recordings)) for name in FLOORS)
     np.testing.assert_allclose(wheels.absolute.rotation_deg, 0.0, atol=1e-9)
     assert (wheels.absolute.translation_m > 0.05).all()  # wheels 1 % too long, travelling askew
     assert (true.absolute.translation_m < wheels.absolute.translation_m).all()
     straight = Recordings(
         replace(recordings.manifest, vehicles={}), {c: recordings[c] for c in recordings.column_names}
     )
-    perfect = Course(straight).measure(FLOORS["PERFECT YAW + TRUE DISTANCE"](straight))
+    perfect = Truth(straight).measure(FLOORS["PERFECT YAW + TRUE DISTANCE"](straight))
     np.testing.assert_allclose(perfect.absolute.translation_m, 0.0, atol=1e-6)
 
 
@@ -113,7 +113,7 @@ def test_measures_agree_with_plain_loops(recordings: Recordings) -> None:
     policy = create("MEAN", recordings)
     prepare(policy, ELSEWHERE, "VISION")
     travel = rollout(policy, recordings, "VISION")
-    errors = Course(recordings).measure(travel)
+    errors = Truth(recordings).measure(travel)
     rows = recordings.rows(2)
     steps = slice(recordings.offsets[2] + 1, recordings.offsets[3])
     x, y, yaw = dead_reckon(
@@ -140,8 +140,8 @@ def test_exact_truth_starts_from_its_own_first_pose(recordings: Recordings) -> N
     policy = create("MEAN", recordings)
     prepare(policy, ELSEWHERE, "PAPER")
     travel = rollout(policy, recordings, "PAPER")
-    written = Course(recordings).measure(travel).absolute.translation_m
-    exact = Course(changed(recordings, moved), "exact").measure(travel).absolute.translation_m
+    written = Truth(recordings).measure(travel).absolute.translation_m
+    exact = Truth(changed(recordings, moved), "exact").measure(travel).absolute.translation_m
     np.testing.assert_allclose(exact, written, atol=1e-9)
 
 

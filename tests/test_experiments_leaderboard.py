@@ -101,7 +101,7 @@ def test_lost_tracks_are_spread_over_the_tested_scenes() -> None:
 
 def test_scene_lines_average_to_the_table(board: Leaderboard) -> None:
     lines = list(csv.DictReader(io.StringIO(exports.to_csv(board))))
-    assert len(lines) == 2 * len(ROWS) * len(board.courses) * len(board.recordings)
+    assert len(lines) == 2 * len(ROWS) * len(board.truths) * len(board.recordings)
     for row in board.tables[0].rows:
         mine = [x for x in lines if (x["track"], x["policy"], x["truth"]) == ("VISION", row.run.name, "truth")]
         score = row.scores["truth"]

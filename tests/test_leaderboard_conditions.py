@@ -12,7 +12,7 @@ from mixo_env.leaderboard import exports, report
 from mixo_env.leaderboard.board import Leaderboard, build
 from mixo_env.leaderboard.conditions import check_grouping, condition_of, members
 from mixo_env.leaderboard.crossvalidation import CrossValidation
-from mixo_env.leaderboard.evaluation import Course, mean_errors
+from mixo_env.leaderboard.evaluation import Truth, mean_errors
 from mixo_env.leaderboard.firing_order import best_shares, firing_order, weights_of_one
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.schema import TRACKS
@@ -72,7 +72,7 @@ def test_oracles_choose_by_the_truth_that_scores_them(board: Leaderboard) -> Non
         for name in ORACLES:
             exact, noisy = (rows[name].run.travels[truth][0].yaw_increment_rad for truth in ("exact", "truth"))
             assert not np.array_equal(exact, noisy)
-        crossed = board.courses["exact"].measure(rows["MULTICAMERA GT"].run.travels["truth"][0])
+        crossed = board.truths["exact"].measure(rows["MULTICAMERA GT"].run.travels["truth"][0])
         own = rows["MULTICAMERA GT"].headline.rotation_deg_per_m.mean
         assert own < 0.7 * crossed.relative.rotation_deg_per_m.mean()
 
@@ -202,7 +202,7 @@ def test_a_row_of_several_seeds_is_the_mean_of_their_errors(
     (row,) = board.tables[0].rows
     one, other = row.run.travels["exact"]
     assert not np.array_equal(one.yaw_increment_rad, other.yaw_increment_rad)
-    errors = [board.courses["exact"].measure(travel) for travel in (one, other)]
+    errors = [board.truths["exact"].measure(travel) for travel in (one, other)]
     means = [error.relative.rotation_deg_per_m.mean() for error in errors]
     assert row.headline.rotation_deg_per_m.mean == pytest.approx(np.mean(means))
     assert row.headline.rotation_deg_per_m.mean > min(means)
@@ -265,5 +265,5 @@ def test_weights_of_sum_one_by_hand() -> None:
 
 
 def test_courses_of_both_truths_begin_at_their_own_first_pose(recordings: Recordings) -> None:
-    course = Course(recordings, "exact")
-    assert course.poses.yaw_rad[0] == recordings["exact.yaw_rad"][0]
+    truth = Truth(recordings, "exact")
+    assert truth.poses.yaw_rad[0] == recordings["exact.yaw_rad"][0]

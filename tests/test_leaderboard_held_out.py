@@ -7,7 +7,7 @@ import pytest
 
 from mixo_env.errors import ConfigurationError
 from mixo_env.leaderboard.crossvalidation import CrossValidation
-from mixo_env.leaderboard.evaluation import Course, rollout
+from mixo_env.leaderboard.evaluation import Truth, rollout
 from mixo_env.leaderboard.held_out import hold_out, table_of
 from mixo_env.leaderboard.rows import Scorer
 from mixo_env.policies.fitting import prepare
@@ -30,7 +30,7 @@ def test_a_held_out_row_is_the_leaderboards() -> None:
     here = np.repeat(run.tested, np.diff(division.recordings.offsets))
     np.testing.assert_array_equal(travel.yaw_increment_rad, run.travel.yaw_increment_rad[here])
     np.testing.assert_array_equal(travel.distance_m, run.travel.distance_m[here])
-    score = Scorer(division.recordings, {"exact": Course(division.recordings, "exact")}, 0.0, 0).row("VISION", run)
+    score = Scorer(division.recordings, {"exact": Truth(division.recordings, "exact")}, 0.0, 0).row("VISION", run)
     value = score.headline.rotation_deg_per_m
     text = table_of(test, "VISION", {linear: travel})
     assert f"LINEAR  {value.mean:.4f} [{value.low:.4f}, {value.high:.4f}]" in text

@@ -11,7 +11,7 @@ from mixo_env.errors import ConfigurationError, PolicyError, unknown
 from mixo_env.leaderboard.comparisons import Comparisons
 from mixo_env.leaderboard.conditions import Group, groups_of
 from mixo_env.leaderboard.crossvalidation import CrossValidation, GroundTruth, Run
-from mixo_env.leaderboard.evaluation import FLOORS, Course, noisy_truth
+from mixo_env.leaderboard.evaluation import FLOORS, Truth, noisy_truth
 from mixo_env.leaderboard.noise import NOISE_FLOOR
 from mixo_env.leaderboard.rows import Row, Scorer
 from mixo_env.policies.linear import Linear
@@ -66,7 +66,7 @@ class Leaderboard:
         tables: one per track.
         policies: names of the rows that were asked for.
         protocol: recordings, folds and seed.
-        courses: the truths the scores refer to, the headline's first.
+        truths: those the scores refer to, by name, the headline's first.
         noise_floor: headline error [deg/m] that the truth's own noise makes; 0 for exact truth, and where no gyro
             tells the noise.
         night: the same for the scenes that are in no fold, by policies that learned from all folds; ``None`` without
@@ -76,7 +76,7 @@ class Leaderboard:
     tables: tuple[Table, ...]
     policies: tuple[str, ...]
     protocol: CrossValidation
-    courses: Mapping[str, Course]
+    truths: Mapping[str, Truth]
     noise_floor: float
     night: Leaderboard | None = None
 
@@ -88,7 +88,7 @@ class Leaderboard:
     @property
     def headline(self) -> str:
         """The truth of the headline."""
-        return next(iter(self.courses))
+        return next(iter(self.truths))
 
     @property
     def logs(self) -> int:
@@ -187,17 +187,17 @@ class Builder:
     """
 
     def __init__(self, protocol: CrossValidation, progress: Callable[[str], None], lenient: bool) -> None:
-        """Lay out the courses."""
+        """Prepare the truths."""
         self._protocol, self._progress, self._lenient = protocol, progress, lenient
-        self._courses = {truth: Course(protocol.recordings, truth) for truth in protocol.truths}
+        self._truths = {truth: Truth(protocol.recordings, truth) for truth in protocol.truths}
         headline = protocol.truths[0]
         self._floor = 0.0
         self._noisy = headline != "exact" and "INERTIAL" in protocol.recordings.manifest.inertial
         if self._noisy:
-            noisy = self._courses[headline].measure(noisy_truth(protocol.recordings))
+            noisy = self._truths[headline].measure(noisy_truth(protocol.recordings))
             samples = noisy.relative.rotation_deg_per_m
             self._floor = float(samples.mean()) if len(samples) else 0.0
-        self._scorer = Scorer(protocol.recordings, self._courses, self._floor, protocol.seed)
+        self._scorer = Scorer(protocol.recordings, self._truths, self._floor, protocol.seed)
 
     def board(
         self, tracks: Sequence[str] | Mapping[str, object], chosen: Sequence[str], night: Leaderboard | None = None
@@ -205,7 +205,7 @@ class Builder:
         """A table for every track."""
         shown = tuple(name for name in chosen if name != NOISE_FLOOR or self._noisy)
         tables = tuple(self._table(track, shown) for track in tracks)
-        return Leaderboard(tables, shown, self._protocol, self._courses, self._floor, night)
+        return Leaderboard(tables, shown, self._protocol, self._truths, self._floor, night)
 
     def _table(self, track: str, chosen: Sequence[str]) -> Table:
         """Rows tested everywhere, and apart from them those tested on one fold, beside the other learned ones."""

@@ -41,7 +41,7 @@ def to_json(board: Leaderboard) -> dict[str, Any]:
         "firing_order": order and _plain(asdict(order) | {"cost_deg": order.cost_deg}),
         "lengths": [
             {"length_m": length, "samples": samples, "scenes": scenes}
-            for length, (samples, scenes) in board.courses[board.headline].pieces().items()
+            for length, (samples, scenes) in board.truths[board.headline].pieces().items()
         ],
         "tracks": {table.track: _table_json(table) for table in board.tables},
         "night": board.night and to_json(board.night),

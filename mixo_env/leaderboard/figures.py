@@ -60,20 +60,20 @@ def draw_trajectories(board: Leaderboard, path: Path) -> None:
     FigureCanvasAgg(figure)
     lanes = 0.35 + 0.22 * len(cameras)
     axes: Any = figure.subplots(3, len(scenes), squeeze=False, height_ratios=(3.4, 2.6, lanes))
-    course = board.courses[board.headline]
+    truth = board.truths[board.headline]
     styles = _styles(rows)
-    travels = [(row, poses(row.run.travel, course.poses, course.offsets)) for row in rows]
+    travels = [(row, poses(row.run.travel, truth.poses, truth.offsets)) for row in rows]
     for column, scene in enumerate(scenes):
-        steps = slice(*course.offsets[scene : scene + 2])
+        steps = slice(*truth.offsets[scene : scene + 2])
         above, middle, below = axes[:, column]
         entry = board.recordings.scenes[scene]
-        way_m = course.travelled_m[steps]
-        above.plot(*_from_start(course.poses, course.poses, steps), color="black", linewidth=3.0, alpha=0.35)
+        way_m = truth.travelled_m[steps]
+        above.plot(*_from_start(truth.poses, truth.poses, steps), color="black", linewidth=3.0, alpha=0.35)
         for row, estimate in travels:
             if not row.run.tested[scene]:
                 continue
-            above.plot(*_from_start(estimate, course.poses, steps), **styles[row.name])
-            error = np.hypot(estimate.x_m - course.poses.x_m, estimate.y_m - course.poses.y_m)[steps]
+            above.plot(*_from_start(estimate, truth.poses, steps), **styles[row.name])
+            error = np.hypot(estimate.x_m - truth.poses.x_m, estimate.y_m - truth.poses.y_m)[steps]
             middle.plot(way_m, error, **styles[row.name])
         _draw_lost(below, board, cameras, steps, way_m)
         above.set_title(f"{entry.name}\n{entry.log}", fontsize=8)
@@ -158,8 +158,8 @@ def _most_winding_of_different_logs(board: Leaderboard, rows: list[Row]) -> list
 
     Scenes on which all ``rows`` were tested come first.
     """
-    course, entries = board.courses[board.headline], board.recordings.scenes
-    turned = np.array([np.ptp(course.poses.yaw_rad[first:stop]) for first, stop in itertools.pairwise(course.offsets)])
+    truth, entries = board.truths[board.headline], board.recordings.scenes
+    turned = np.array([np.ptp(truth.poses.yaw_rad[first:stop]) for first, stop in itertools.pairwise(truth.offsets)])
     everywhere = np.all([row.run.tested for row in rows], axis=0) if rows else np.ones(len(entries), np.bool_)
     order = np.lexsort((-turned, ~everywhere)).tolist()
     first_of_log = {entries[i].log: i for i in reversed(order)}

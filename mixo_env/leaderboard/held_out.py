@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from mixo_env.leaderboard.crossvalidation import CrossValidation, Run
-from mixo_env.leaderboard.evaluation import Course, Travel
+from mixo_env.leaderboard.evaluation import Travel, Truth
 from mixo_env.leaderboard.report import cells, sections
 from mixo_env.leaderboard.rows import Scorer
 from mixo_env.policies.policy import Policy
@@ -43,7 +43,7 @@ def table_of(test: Recordings, track: str, travels: Mapping[Policy, Travel], *, 
         seed: of bootstrap and sign patterns.
     """
     # Against the headline's truth alone, which `hold_out` has put in the place of the others.
-    scorer = Scorer(test, {"truth": Course(test)}, floor=0.0, seed=seed)
+    scorer = Scorer(test, {"truth": Truth(test)}, floor=0.0, seed=seed)
     everything = np.ones(len(test), dtype=np.bool_)
     rows = [
         scorer.row(track, Run(policy.name, policy.privileged, policy.learns, {"truth": (travel,)}, everything, {}))

@@ -77,7 +77,7 @@ def sections(rows: Sequence[Row], sort: Order = "table") -> list[list[Row]]:
 
 def columns_of(board: Leaderboard) -> tuple[str, ...]:
     """All columns; raw poses have one of their own unless they are the headline."""
-    return (*COLUMNS, WRITTEN_COLUMN) if len(board.courses) > 1 else COLUMNS
+    return (*COLUMNS, WRITTEN_COLUMN) if len(board.truths) > 1 else COLUMNS
 
 
 def cells(row: Row, comparisons: Comparisons) -> dict[str, str]:

@@ -39,7 +39,7 @@ LEGEND = (
 def conventions(board: Leaderboard) -> list[str]:
     """Everything needed to read the numbers, one sentence a line."""
     protocol, recordings = board.protocol, board.recordings
-    pieces = board.courses[board.headline].pieces().items()
+    pieces = board.truths[board.headline].pieces().items()
     samples = ", ".join(f"{length:g} m {count} ({scenes})" for length, (count, scenes) in pieces)
     size = f"{count_of(len(recordings), 'scene')} of {count_of(board.logs, 'log')}"
     intervals = f"Intervals: bootstrap over {board.logs} logs." if board.logs > 1 else "Intervals: none, one log."
@@ -102,8 +102,8 @@ def distance_words(manifest: Manifest) -> str:
 
 def _truths(board: Leaderboard) -> str:
     """The headline's truth, and the others."""
-    names = TRUTH_NAMES if "written" in board.courses else TRUTH_NAMES | {"truth": TRUTH_NAMES["written"]}
-    others = "".join(f"; {truth}: {names[truth]}" for truth in board.courses if truth != board.headline)
+    names = TRUTH_NAMES if "written" in board.truths else TRUTH_NAMES | {"truth": TRUTH_NAMES["written"]}
+    others = "".join(f"; {truth}: {names[truth]}" for truth in board.truths if truth != board.headline)
     return f"Headline truth: {names[board.headline]}{others}."
 
 
