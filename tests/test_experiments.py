@@ -246,7 +246,7 @@ def test_imported_expert_votes_and_has_a_row_of_its_own(recordings: Recordings) 
     columns["DROID.state"] = np.where(np.isfinite(columns["DROID.yaw_increment_rad"]), State.TRACKING, State.LOST)
     more = Recordings(replace(recordings.manifest, imported=("DROID",)), columns)
     board = build(more, tracks=("PAPER",), policies=("DROID", "LINEAR", "MEDIAN", "HIGHEST MATCH"))
-    (table,) = board.tables
+    (table,) = board.standings
     assert [row.run.name for row in table.rows] == ["DROID", "HIGHEST MATCH", "MEDIAN", "LINEAR"]
     assert table.rows[0].lost is not None
     assert list(table.linear_weights()[0]) == [*recordings.manifest.cameras, "DROID", "INERTIAL_POSE"]

@@ -50,13 +50,13 @@ class Relearnt(Linear):
 
 
 def increments(scored: object) -> np.ndarray:
-    return scored.row.run.motion.yaw_increment_rad  # type: ignore[attr-defined]
+    return scored.row.run.travel.yaw_increment_rad  # type: ignore[attr-defined]
 
 
 def test_a_class_that_learns_is_fitted_fold_by_fold_like_the_row_beside_it(recordings: Recordings) -> None:
     scored = mixo_env.score(Relearnt, recordings)
-    linear = next(row for row in scored.board.tables[0].rows if row.name == "LINEAR")
-    np.testing.assert_array_equal(increments(scored), linear.run.motion.yaw_increment_rad)
+    linear = next(row for row in scored.board.standings[0].rows if row.name == "LINEAR")
+    np.testing.assert_array_equal(increments(scored), linear.run.travel.yaw_increment_rad)
     assert set(scored.row.run.policies) == {0, 1, 2, 3}
     assert [c.second for c in scored.differences] == ["CAM_FRONT", "LINEAR", "HUBER"]
     assert scored.differences[1].difference.mean == 0.0
@@ -135,7 +135,7 @@ def test_rows_of_an_installed_distribution_and_broken_ones(
     assert "distribution tiny-policies: the name LINEAR is taken" in caplog.text
     assert isinstance(registry.create("LINEAR", recordings), Linear)
     board = build(recordings, tracks=("VISION",), policies=("surest", "linear"))
-    assert [row.name for row in board.tables[0].rows] == ["LINEAR", "SUREST"]
+    assert [row.name for row in board.standings[0].rows] == ["LINEAR", "SUREST"]
     for name in ("BROKEN", "OTHER"):
         with pytest.raises(PolicyError, match=f"distribution tiny-policies, policy {name}: "):
             build(recordings, tracks=("VISION",), policies=(name,))

@@ -25,8 +25,8 @@ RANKING_LOGS = 10
 
 
 @dataclass(frozen=True)
-class Table:
-    """One track.
+class Standings:
+    """The rows of one track and what stands with them.
 
     Attributes:
         track: its name.
@@ -60,10 +60,10 @@ class Table:
 
 @dataclass(frozen=True)
 class Leaderboard:
-    """All tables and what they rest on.
+    """The standings of every track and what they rest on.
 
     Attributes:
-        tables: one per track.
+        standings: one a track.
         policies: names of the rows that were asked for.
         protocol: recordings, folds and seed.
         truths: those the scores refer to, by name, the headline's first.
@@ -73,7 +73,7 @@ class Leaderboard:
             such scenes.
     """
 
-    tables: tuple[Table, ...]
+    standings: tuple[Standings, ...]
     policies: tuple[str, ...]
     protocol: CrossValidation
     truths: Mapping[str, Truth]
@@ -139,9 +139,9 @@ def build(
         )
         quick = [name for name in chosen if not protocol.expensive(name)]
         dark = Builder(nights, lambda text: progress(f"night, {text}"), everything).board(
-            tracks or recordings.tables, quick
+            tracks or recordings.distinct_tracks, quick
         )
-    return day.board(tracks or recordings.tables, chosen, dark)
+    return day.board(tracks or recordings.distinct_tracks, chosen, dark)
 
 
 def requested(
@@ -178,7 +178,7 @@ def choose(asked: Sequence[str], valid: Sequence[str]) -> tuple[str, ...]:
 
 
 class Builder:
-    """Builds the tables of one protocol.
+    """Builds the standings of one protocol.
 
     Args:
         protocol: scenes, folds, seeds.
@@ -202,12 +202,12 @@ class Builder:
     def board(
         self, tracks: Sequence[str] | Mapping[str, object], chosen: Sequence[str], night: Leaderboard | None = None
     ) -> Leaderboard:
-        """A table for every track."""
+        """Standings for every track."""
         shown = tuple(name for name in chosen if name != NOISE_FLOOR or self._noisy)
-        tables = tuple(self._table(track, shown) for track in tracks)
-        return Leaderboard(tables, shown, self._protocol, self._truths, self._floor, night)
+        standings = tuple(self._standings(track, shown) for track in tracks)
+        return Leaderboard(standings, shown, self._protocol, self._truths, self._floor, night)
 
-    def _table(self, track: str, chosen: Sequence[str]) -> Table:
+    def _standings(self, track: str, chosen: Sequence[str]) -> Standings:
         """Rows tested everywhere, and apart from them those tested on one fold, beside the other learned ones."""
         runs: list[Run] = []
         left_out: dict[str, str] = {}
@@ -228,7 +228,7 @@ class Builder:
             scenes = np.array([scene.fold == one_fold for scene in self._protocol.recordings.scenes])
             part = tuple(self._scorer.restrict(row, scenes) for row in rows if row.run.learns)
         recordings = self._protocol.recordings
-        return Table(
+        return Standings(
             track=track,
             rows=whole,
             comparisons=self._scorer.compare(whole),

@@ -154,11 +154,11 @@ def mean_errors(runs: Sequence[Errors]) -> Errors:
     )
 
 
-class Course:
+class Truth:
     """The true way through every scene, and the pieces of path on which every travel is compared."""
 
     def __init__(self, recordings: Recordings, truth: str = "truth", rule: PairRule | None = None) -> None:
-        """Prepare one of the truths of ``recordings``; ``rule`` chooses the pieces of path (default: headline's)."""
+        """Prepare one of those of ``recordings``; ``rule`` chooses the pieces of path (default: headline's)."""
         self.offsets = recordings.offsets
         x, y, yaw = (recordings[f"{truth}.{name}"].astype(np.float64) for name in ("x_m", "y_m", "yaw_rad"))
         self.poses = PlanarPoses(x, y, yaw)

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from mixo_env.experts.expert import State
 from mixo_env.files import atomic_path
-from mixo_env.leaderboard.board import Leaderboard, Table
+from mixo_env.leaderboard.board import Leaderboard, Standings
 from mixo_env.leaderboard.evaluation import poses
 from mixo_env.leaderboard.rows import Row
 from mixo_env.trajectory.planar import PlanarPoses
@@ -51,8 +51,8 @@ def draw_trajectories(board: Leaderboard, path: Path) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    table = next((table for table in board.tables if table.track == PREFERRED_TRACK), board.tables[0])
-    rows = shown_rows(board, table)
+    standings = next((one for one in board.standings if one.track == PREFERRED_TRACK), board.standings[0])
+    rows = shown_rows(board, standings)
     scenes = _most_winding_of_different_logs(board, rows)
     manifest = board.recordings.manifest
     cameras = [camera for camera in manifest.cameras or manifest.imported if f"{camera}.state" in board.recordings]
@@ -93,15 +93,15 @@ def draw_trajectories(board: Leaderboard, path: Path) -> None:
     axes[0, 0].set_ylabel("forward [m]", fontsize=8)
     axes[1, 0].set_ylabel("position error [m], square-root scale", fontsize=8)
     _legend(figure, rows, styles)
-    figure.suptitle(_title(board, table), fontsize=9)
+    figure.suptitle(_title(board, standings), fontsize=9)
     with atomic_path(path) as part:
         figure.savefig(part, format="png", dpi=110, metadata={"Software": None})
 
 
-def shown_rows(board: Leaderboard, table: Table) -> list[Row]:
+def shown_rows(board: Leaderboard, standings: Standings) -> list[Row]:
     """The rows to draw: all of them, or of too many the preferred ones, then imported experts, then the rest."""
-    rows = {row.name: row for row in (*table.one_fold_rows, *table.rows)}
-    order = [row.name for row in table.rows] + [row.name for row in table.one_fold_rows]
+    rows = {row.name: row for row in (*standings.one_fold_rows, *standings.rows)}
+    order = [row.name for row in standings.rows] + [row.name for row in standings.one_fold_rows]
     order = list(dict.fromkeys(order))
     if len(order) > MOST_ROWS:
         first = [name for name in (*PREFERRED, *board.recordings.manifest.imported) if name in rows]
@@ -146,9 +146,9 @@ def _draw_lost(panel: Any, board: Leaderboard, cameras: list[str], steps: slice,
     panel.set_yticks(range(len(cameras)), [camera.removeprefix("CAM_").lower() + " lost" for camera in cameras])
 
 
-def _title(board: Leaderboard, table: Table) -> str:
+def _title(board: Leaderboard, standings: Standings) -> str:
     return (
-        f"Track {table.track}, data {board.recordings.manifest.data_version}, seed {board.protocol.seed}; "
+        f"Track {standings.track}, data {board.recordings.manifest.data_version}, seed {board.protocol.seed}; "
         "no alignment, the first pose is the truth's; learned policies on scenes they have not seen"
     )
 

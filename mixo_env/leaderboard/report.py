@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from mixo_env.leaderboard.board import Leaderboard, Table
+from mixo_env.leaderboard.board import Leaderboard, Standings
 from mixo_env.leaderboard.comparisons import REFERENCES, Comparisons
 from mixo_env.leaderboard.conditions import Grouping
 from mixo_env.leaderboard.rows import Row
@@ -24,8 +24,7 @@ from mixo_env.leaderboard.sentences import (
     title,
 )
 from mixo_env.metrics.bootstrap import Interval
-from mixo_env.tables import Column
-from mixo_env.tables import Table as TextTable
+from mixo_env.tables import Column, Table
 
 DIFFERENCES = tuple(f"- {reference}" for reference in REFERENCES)
 COLUMNS = (
@@ -101,21 +100,25 @@ def cells(row: Row, comparisons: Comparisons) -> dict[str, str]:
     return line
 
 
-def parts(board: Leaderboard, table: Table, by: Sequence[Grouping]) -> list[tuple[str, Sequence[Row], Comparisons]]:
+def parts(
+    board: Leaderboard, standings: Standings, by: Sequence[Grouping]
+) -> list[tuple[str, Sequence[Row], Comparisons]]:
     """Caption, rows and comparisons of every table of one track that has rows."""
-    found = [(title(table, board.recordings.manifest), table.rows, table.comparisons)]
+    found = [(title(standings, board.recordings.manifest), standings.rows, standings.comparisons)]
     distance = distance_words(board.recordings.manifest)
-    one_fold = f"{table.track}, learned policies on fold {table.one_fold} alone{distance}"
-    found.append((one_fold, table.one_fold_rows, table.one_fold_comparisons))
-    for group in table.groups:
+    one_fold = f"{standings.track}, learned policies on fold {standings.one_fold} alone{distance}"
+    found.append((one_fold, standings.one_fold_rows, standings.one_fold_comparisons))
+    for group in standings.groups:
         if group.by in by:
             scenes = count_of(int(group.rows[0].run.tested.sum()), "scene")
             name = group.name.replace("_", " ")
-            found.append((f"{table.track}, {group.by} {name}: {scenes}{distance}", group.rows, group.comparisons))
+            found.append((f"{standings.track}, {group.by} {name}: {scenes}{distance}", group.rows, group.comparisons))
     if board.night and "condition" in by:
-        night = next(other for other in board.night.tables if other.track == table.track)
+        night = next(other for other in board.night.standings if other.track == standings.track)
         size = f"{count_of(len(board.night.recordings), 'scene')} of {count_of(board.night.logs, 'log')}"
-        found.append((f"{table.track}, night (out of distribution): {size}{distance}", night.rows, night.comparisons))
+        found.append(
+            (f"{standings.track}, night (out of distribution): {size}{distance}", night.rows, night.comparisons)
+        )
     return [part for part in found if part[1]]
 
 
@@ -123,13 +126,13 @@ def to_markdown(board: Leaderboard, *, sort: Order = "table", by: Sequence[Group
     """All tables with their conventions, and the one-fold comparison below each."""
     columns = columns_of(board)
     blocks = ["# MixoOdometry leaderboard", "\n".join(f"* {line}" for line in conventions(board)), LEGEND]
-    for table in board.tables:
-        for i, (caption, rows, comparisons) in enumerate(parts(board, table, by)):
+    for standings in board.standings:
+        for i, (caption, rows, comparisons) in enumerate(parts(board, standings, by)):
             texts = [cells(row, comparisons) for section in sections(rows, sort) for row in section]
             lines = [[text[column] for column in columns] for text in texts]
             caption = f"{'###' if i else '##'} {caption}"
-            blocks.append(TextTable(caption, tuple(map(Column, columns)), lines).markdown())
-        blocks += notes(table)
+            blocks.append(Table(caption, tuple(map(Column, columns)), lines).markdown())
+        blocks += notes(standings)
     return "\n\n".join(blocks) + "\n"
 
 
@@ -138,13 +141,13 @@ def print_leaderboard(board: Leaderboard, *, sort: Order = "table", by: Sequence
     from rich.console import Console
 
     console = Console(highlight=False, width=None if sys.stdout.isatty() else WIDE)
-    shown = {table.track: parts(board, table, by) for table in board.tables}
+    shown = {standings.track: parts(board, standings, by) for standings in board.standings}
     every = [cells(row, comparisons) for some in shown.values() for _, rows, comparisons in some for row in rows]
     columns = fitting(columns_of(board), every, console.width)
-    for table in board.tables:
-        for caption, rows, comparisons in shown[table.track]:
+    for standings in board.standings:
+        for caption, rows, comparisons in shown[standings.track]:
             console.print(_rich_table(caption, sections(rows, sort), comparisons, columns))
-        for line in notes(table):
+        for line in notes(standings):
             console.print(line, markup=False)
         console.print()
     if left_out := [column for column in columns_of(board) if column not in columns]:

@@ -55,12 +55,12 @@ class Scored:
     @property
     def row(self) -> Row:
         """The policy's own row, on all scored scenes."""
-        return next(row for row in self.board.tables[0].rows if row.name == self.name)
+        return next(row for row in self.board.standings[0].rows if row.name == self.name)
 
     @property
     def differences(self) -> tuple[Comparison, ...]:
         """Paired differences, policy - row, to the rows beside it; none for a policy that reads the truth."""
-        found = (self.board.tables[0].comparisons.between(self.name, other) for other in BESIDE)
+        found = (self.board.standings[0].comparisons.between(self.name, other) for other in BESIDE)
         return tuple(comparison for comparison in found if comparison)
 
     def lines(self) -> list[str]:
