@@ -169,4 +169,6 @@ def test_the_ten_lines_of_the_page_give_a_row(tmp_path: Path) -> None:
 @pytest.mark.integration
 def test_the_example_runs(tmp_path: Path) -> None:
     (tmp_path / "own_policy.py").write_text((ROOT / "examples/own_policy.py").read_text(encoding="utf-8"))
-    assert "SUREST - LINEAR: " in run(sys.executable, "own_policy.py", cwd=tmp_path)
+    printed = run(sys.executable, "own_policy.py", cwd=tmp_path)
+    assert "SUREST - LINEAR: " in printed
+    assert {"SUREST", "CAM_FRONT", "LINEAR", "HUBER", "MIXO"} <= {line.split("  ")[0] for line in printed.splitlines()}

@@ -101,7 +101,7 @@ class Score:
                 progress=lambda _: report(next(begun), len(BESIDE) + 1),
             )
         print_leaderboard(scored.board)
-        for line in scored.lines():
+        for line in scored.difference_lines():
             print(line)
         if folder:
             write_json(folder / "score.json", scored.to_json() | {"configuration": self._plain()})

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import shutil
 import sys
+import textwrap
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
@@ -39,6 +41,8 @@ COLUMNS = (
     "yaw deg",
     "> 0.5 m",
 )
+SCORES = ("policy", "RTE deg/m", "RTE %", "ATE m", "ATE deg", "yaw deg")
+"""A row in short: errors without comparisons."""
 WRITTEN_COLUMN = "written deg/m"
 LEAST_COLUMNS = ("policy", "RTE deg/m", "letters", DIFFERENCES[0])
 """Shown however narrow the terminal is; long names of rows then wrap."""
@@ -128,32 +132,33 @@ def to_markdown(board: Leaderboard, *, sort: Order = "table", by: Sequence[Group
     blocks = ["# MixoOdometry leaderboard", "\n".join(f"* {line}" for line in conventions(board)), LEGEND]
     for standings in board.standings:
         for i, (caption, rows, comparisons) in enumerate(parts(board, standings, by)):
-            texts = [cells(row, comparisons) for section in sections(rows, sort) for row in section]
-            lines = [[text[column] for column in columns] for text in texts]
-            caption = f"{'###' if i else '##'} {caption}"
-            blocks.append(Table(caption, tuple(map(Column, columns)), lines).markdown())
+            heading = f"{'###' if i else '##'} {caption}"
+            blocks.append(_table(heading, sections(rows, sort), comparisons, columns).markdown())
         blocks += notes(standings)
     return "\n\n".join(blocks) + "\n"
 
 
 def print_leaderboard(board: Leaderboard, *, sort: Order = "table", by: Sequence[Grouping] = ()) -> None:
     """The same on the terminal; a narrow one leaves out the last columns, which the files keep, but no interval."""
-    from rich.console import Console
-
-    console = Console(highlight=False, width=None if sys.stdout.isatty() else WIDE)
+    width = shutil.get_terminal_size().columns if sys.stdout.isatty() else WIDE
     shown = {standings.track: parts(board, standings, by) for standings in board.standings}
     every = [cells(row, comparisons) for some in shown.values() for _, rows, comparisons in some for row in rows]
-    columns = fitting(columns_of(board), every, console.width)
+    columns = fitting(columns_of(board), every, width)
     for standings in board.standings:
         for caption, rows, comparisons in shown[standings.track]:
-            console.print(_rich_table(caption, sections(rows, sort), comparisons, columns))
+            print(_table(caption, sections(rows, sort), comparisons, columns).text(width))
         for line in notes(standings):
-            console.print(line, markup=False)
-        console.print()
+            print(textwrap.fill(line, width))
+        print()
     if left_out := [column for column in columns_of(board) if column not in columns]:
-        console.print(f"For want of width without {', '.join(left_out)}: see leaderboard.md.", markup=False)
+        print(textwrap.fill(f"For want of width without {', '.join(left_out)}: see leaderboard.md.", width))
     for line in (*conventions(board), LEGEND):
-        console.print(line, markup=False)
+        print(textwrap.fill(line, width))
+
+
+def scores_table(standings: Standings) -> Table:
+    """The errors of every row of a track, without the conventions and comparisons of the whole leaderboard."""
+    return _table(f"Track {standings.track}", sections(standings.rows), standings.comparisons, SCORES)
 
 
 def fitting(columns: Sequence[str], lines: Sequence[Mapping[str, str]], width: int) -> tuple[str, ...]:
@@ -171,15 +176,7 @@ def _interval(value: Interval, digits: int, with_ends: bool) -> str:
     return f"{value.mean:.{digits}f}{ends}"
 
 
-def _rich_table(caption: str, groups: Sequence[Sequence[Row]], comparisons: Comparisons, columns: Sequence[str]) -> Any:
-    from rich import box
-    from rich.table import Table as RichTable
-
-    table = RichTable(title=caption, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 0, 0, 1))
-    for column in columns:
-        table.add_column(column, justify="left" if column == "policy" else "right", no_wrap=column != "policy")
-    for group in groups:
-        for row in group:
-            texts = cells(row, comparisons)
-            table.add_row(*(texts[column] for column in columns), end_section=row is group[-1])
-    return table
+def _table(caption: str, groups: Sequence[Sequence[Row]], comparisons: Comparisons, columns: Sequence[str]) -> Table:
+    texts = [cells(row, comparisons) for group in groups for row in group]
+    lines = [[text[column] for column in columns] for text in texts]
+    return Table(caption, tuple(map(Column, columns)), lines, tuple(np.cumsum([len(group) for group in groups[:-1]])))

@@ -11,6 +11,7 @@ from mixo_env.errors import ConfigurationError, unknown
 from mixo_env.leaderboard.board import Leaderboard, build, requested
 from mixo_env.leaderboard.comparisons import Comparison
 from mixo_env.leaderboard.exports import comparison_json, to_json
+from mixo_env.leaderboard.report import scores_table
 from mixo_env.leaderboard.rows import Row
 from mixo_env.leaderboard.sentences import p_text
 from mixo_env.policies.agent import Frozen
@@ -64,6 +65,10 @@ class Scored:
         return tuple(comparison for comparison in found if comparison)
 
     def lines(self) -> list[str]:
+        """What :func:`score` found: the row beside the others as a table, then the differences in words."""
+        return [*scores_table(self.board.standings[0]).text().splitlines(), "", *self.difference_lines()]
+
+    def difference_lines(self) -> list[str]:
         """The differences in words."""
         return [
             f"{c.first} - {c.second}: {c.difference.mean:+.5f} deg/m [{c.difference.low:+.5f}, "
