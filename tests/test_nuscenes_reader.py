@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import itertools
 import json
 from pathlib import Path
 
@@ -9,7 +10,7 @@ import pytest
 from mixo_env.errors import ConfigurationError, DatasetError
 from mixo_env.geometry import wrap_angle_rad, yaw_from_quaternion_wxyz
 from mixo_env.nuscenes import cache
-from mixo_env.nuscenes.json_rows import read_rows
+from mixo_env.nuscenes.json_rows import read_blocks
 from mixo_env.nuscenes.selections import ALL_CAMERAS, CAMERAS
 from mixo_env.nuscenes.tables import open_dataset
 from tests.nuscenes_fixture import DRIVES, SceneTruth, token, write_nuscenes
@@ -192,7 +193,8 @@ class TestRows:
         rows = [{"token": token(i), "scene_token": f"}} , {{ {i}", "nested": {"a": [{"b": 1}]}} for i in range(9)]
         path = tmp_path / "sample.json"
         path.write_text("\n" + json.dumps(rows, **layout) + "\n")
-        read = [(row.token, row.scene_token) for row in read_rows(path, _SampleRow, block_bytes)]
+        blocks = read_blocks(path, _SampleRow, block_bytes)
+        read = [(row.token, row.scene_token) for row in itertools.chain.from_iterable(blocks)]
         assert read == [(row["token"], row["scene_token"]) for row in rows]
 
     @pytest.mark.parametrize("text", ["[]", " [ ] \n"])
@@ -201,7 +203,7 @@ class TestRows:
 
         path = tmp_path / "sample.json"
         path.write_text(text)
-        assert list(read_rows(path, _SampleRow)) == []
+        assert list(itertools.chain.from_iterable(read_blocks(path, _SampleRow))) == []
 
 
 class TestBadInput:

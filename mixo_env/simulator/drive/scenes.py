@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mixo_env.geometry import wrap_angle_rad
+from mixo_env.geometry import rotation_from_roll_pitch_yaw, wrap_angle_rad
 from mixo_env.nuscenes.scene import CameraTrack, ExactPoses, Scene
 from mixo_env.nuscenes.selections import conditions_of
 from mixo_env.nuscenes.writer import image_name
@@ -129,7 +129,7 @@ def camera_pose(
     x, y, yaw, heave, roll, pitch = (
         float(drive.at(name, time_s)) for name in ("x_m", "y_m", "yaw_rad", "heave_m", "roll_rad", "pitch_rad")
     )
-    body = _rotation_map_from_body(roll, pitch, yaw)
+    body = rotation_from_roll_pitch_yaw(roll, pitch, yaw)
     return CameraPose(body @ rotation_ego_from_camera, np.array([x, y, heave]) + body @ translation_m)
 
 
@@ -161,18 +161,6 @@ def _nearest_side(x: float, y: float) -> BlockSide | None:
         return None
     distances = {"west": u, "east": BLOCK_M - u, "south": v, "north": BLOCK_M - v}
     return column, row, min(distances, key=lambda side: distances[side])
-
-
-def _rotation_map_from_body(roll: float, pitch: float, yaw: float) -> NDArray[np.float64]:
-    """R_z(yaw) R_y(pitch) R_x(roll)."""
-    cr, sr, cp, sp, cy, sy = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch), np.cos(yaw), np.sin(yaw)
-    return np.array(
-        [
-            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-            [-sp, cp * sr, cp * cr],
-        ]
-    )
 
 
 def _exact(drive: Drive, plan: ScenePlan, seconds: float) -> ExactPoses:
