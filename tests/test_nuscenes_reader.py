@@ -42,17 +42,17 @@ def test_round_trip_gives_back_the_generators_truth(folder):
         scene = dataset.load(name, ALL_CAMERAS)
         assert tuple(scene.cameras) == ALL_CAMERAS
         assert (scene.log, scene.description) == (truth.drive.log, truth.drive.description)
-        for channel, track in scene.cameras.items():
+        for channel, reel in scene.cameras.items():
             expected = truth.cameras[channel]
-            assert track.timestamp_us.dtype == np.int64
-            assert track.timestamp_us.tolist() == expected.timestamp_us
-            assert track.is_keyframe.tolist() == expected.is_keyframe
-            assert [path.relative_to(root).as_posix() for path in track.image_paths] == expected.filenames
+            assert reel.timestamp_us.dtype == np.int64
+            assert reel.timestamp_us.tolist() == expected.timestamp_us
+            assert reel.is_keyframe.tolist() == expected.is_keyframe
+            assert [path.relative_to(root).as_posix() for path in reel.image_paths] == expected.filenames
             x, y, yaw = np.array(expected.pose).T
-            np.testing.assert_allclose(track.x_m, x, rtol=0, atol=1e-9)
-            np.testing.assert_allclose(track.y_m, y, rtol=0, atol=1e-9)
-            np.testing.assert_allclose(wrap_angle_rad(track.yaw_rad - yaw), 0.0, atol=1e-9)
-            calibration = track.calibration
+            np.testing.assert_allclose(reel.x_m, x, rtol=0, atol=1e-9)
+            np.testing.assert_allclose(reel.y_m, y, rtol=0, atol=1e-9)
+            np.testing.assert_allclose(wrap_angle_rad(reel.yaw_rad - yaw), 0.0, atol=1e-9)
+            calibration = reel.calibration
             assert (calibration.channel, calibration.width, calibration.height) == (channel, 1600, 900)
             np.testing.assert_allclose(calibration.intrinsic, expected.intrinsic, atol=1e-9)
             np.testing.assert_allclose(calibration.translation_m, expected.translation_m, atol=1e-9)

@@ -20,7 +20,7 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 Message = dict[str, Any]
 
-WHEELBASE_M, TRACK_M = 2.588, 1.51
+WHEELBASE_M, WHEEL_SPACING_M = 2.588, 1.51
 GRAVITY_MPS2 = 9.79
 STEERING_RATIO = 14.5
 WHEEL_RADIUS_RANGE_M = (0.301, 0.309)
@@ -209,7 +209,7 @@ def _pose(bus: _Recorder, imu: list[Message]) -> list[Message]:
 def _wheel_rpm(bus: _Recorder, time_s: FloatArray) -> FloatArray:
     """``(n, 4)`` revolutions per minute at measurement times: the axle's motion at each wheel, noise, quantisation."""
     speed, yaw_rate = bus.drive.at("speed_mps", time_s), bus.drive.at("yaw_rate_radps", time_s)
-    left, right = speed - 0.5 * TRACK_M * yaw_rate, speed + 0.5 * TRACK_M * yaw_rate
+    left, right = speed - 0.5 * WHEEL_SPACING_M * yaw_rate, speed + 0.5 * WHEEL_SPACING_M * yaw_rate
     front = WHEELBASE_M * yaw_rate
     rolled = np.stack([np.hypot(left, front), np.hypot(right, front), left, right], axis=1)
     moving = np.minimum(speed / 2.0, 1.0)[:, None]
