@@ -16,7 +16,7 @@ from mixo_env.errors import ConfigurationError, PolicyError
 from mixo_env.leaderboard.board import build
 from mixo_env.leaderboard.stranger import Options
 from mixo_env.policies import registry
-from mixo_env.policies.agent import Playing
+from mixo_env.policies.agent import Asking
 from mixo_env.policies.fitting import prepare
 from mixo_env.policies.linear import Linear
 from mixo_env.policies.policy import Observation, Policy, Weights
@@ -76,8 +76,8 @@ def test_a_function_of_one_scene_and_of_all_are_the_equal_weights_they_mean(
 
     expected = increments(mixo_env.score(Equal(), recordings))
     for function, vectorised in ((one, False), (every, True)):
-        playing = Playing(observation=observation, vectorised=vectorised)  # type: ignore[arg-type]
-        np.testing.assert_allclose(increments(mixo_env.score(function, recordings, options=Options(playing))), expected)
+        asking = Asking(observation=observation, vectorised=vectorised)  # type: ignore[arg-type]
+        np.testing.assert_allclose(increments(mixo_env.score(function, recordings, options=Options(asking))), expected)
 
 
 def test_frozen_policies_are_refused_on_their_own_training_drives(recordings: Recordings, tmp_path: Path) -> None:

@@ -79,7 +79,7 @@ class Score:
         from mixo_env.files import writable_folder, write_json
         from mixo_env.leaderboard.report import print_leaderboard
         from mixo_env.leaderboard.stranger import BESIDE, Options, score
-        from mixo_env.policies.agent import Playing
+        from mixo_env.policies.agent import Asking
         from mixo_env.policies.sb3 import Network
 
         folder = self.out and writable_folder(self.out)
@@ -92,7 +92,7 @@ class Score:
                 folds=self.folds,
                 fitted_on=self._declared(),
                 options=Options(
-                    Playing(self.observation, self.weights, self.raw_scale, self.vectorised),
+                    Asking(self.observation, self.weights, self.raw_scale, self.vectorised),
                     Network(self.algorithm, self.activation, self.statistics),
                     self.policy_class,
                     self.seed,
