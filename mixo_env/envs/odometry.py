@@ -149,6 +149,9 @@ class MixoOdometryEnv(PlainSpec, gym.Env[Any, Any]):  # pyright: ignore[reportIn
     print(info["scores"])
     ```
 
+    Episodes of any policy become a Minari data set, for offline reinforcement learning, by
+    `mixo_env.envs.episodes.write_minari`: see `examples/minari_episodes.py`.
+
     ## Version history
     * v0: first version. Scores may move until release 1.0.0; until then quote the data version of the recordings.
     """
