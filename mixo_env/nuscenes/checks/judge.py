@@ -264,11 +264,10 @@ def _measure(report: SceneReport, evidence: Evidence) -> None:
     if (wheel := can_bus.wheel_speed_radps) is not None:
         report.wheel_ratio = wheels.wheel_ratio(wheel, path)
     if (imu := can_bus.imu_yaw_rate_radps) is not None and len(imu.timestamp_us) > 1:
-        compared = gyro.yaw_rates_against(path, imu)
-        if compared is not None:
+        if (compared := evidence.yaw_rates.get("ms_imu")) is not None:
             report.truth_noise_deg = float(np.degrees(0.5 * np.std(compared.true - compared.sensed)))
             if compared.is_moving(gyro.TURNING_RADPS):
                 report.gyro_correlation = compared.correlation
-        if (lag := gyro.pose_lag(path, imu)) is not None:
+        if (lag := evidence.pose_lags.get("ms_imu")) is not None:
             report.pose_lag_s = lag.seconds
         report.imu_latency_s = gyro.latency_s(can_bus)
