@@ -33,6 +33,8 @@ def image_files(evidence: Evidence) -> Iterator[Finding]:
             if (fault := image_fault(path, width, height) if there else "missing") is not None
         }
         hint = ": only key frames are unpacked? see --key-frames" if _no_sweeps(faults, reel) else ""
+        if list(faults.values()) == ["missing"] * len(reel.image_paths):
+            hint = ": none is unpacked? see --no-images of `mixo record`"
         for text in describe_broken(camera, faults, reel.image_paths):
             yield Finding("images", text + hint, is_problem=too_many_broken(faults, len(reel.image_paths)))
 
