@@ -42,13 +42,17 @@ def test_rare_key_frames_leave_steps_of_a_tenth_of_a_second_at_most():
     assert len(kept) == pytest.approx(200, rel=0.05)
 
 
+@pytest.mark.parametrize("experts_s", [[], [TRUTH_S[:1]]])
+def test_a_sequence_without_experts_has_steps_like_the_others(experts_s):
+    np.testing.assert_array_equal(thinned(TRUTH_S, experts_s), np.arange(0, 4_000, 20))
+
+
 @pytest.mark.parametrize(
     ("truth_s", "experts_s"),
     [
         (0.1 * np.arange(50), [0.5 * np.arange(10)]),  # KITTI, with key frames
         (TRUTH_S, [TRUTH_S]),
-        (TRUTH_S, [TRUTH_S[:1]]),
-        (TRUTH_S, []),
+        (0.1 * np.arange(50), []),
         (TRUTH_S[:2], [TRUTH_S[::20]]),
     ],
 )

@@ -24,7 +24,7 @@ def thinned(truth_s: FloatArray, experts_s: Sequence[FloatArray]) -> NDArray[np.
     """Which true poses end the steps of a sequence.
 
     They are the nearest to the poses of the densest expert, so its increments are hardly interpolated, and where that
-    expert has none, others as far apart.
+    expert has none, others as far apart; 0.1 s where no expert has any.
 
     Args:
         truth_s: ``(n,)`` increasing times.
@@ -33,15 +33,14 @@ def thinned(truth_s: FloatArray, experts_s: Sequence[FloatArray]) -> NDArray[np.
     Returns:
         ``(m,)`` increasing positions; ``None``: all, because the truth is no denser than it has to be.
     """
-    spacings = [float(np.median(np.diff(times))) for times in experts_s if len(times) > 1]
-    if not spacings or len(truth_s) < 3:
+    spacings = {i: float(np.median(np.diff(times))) for i, times in enumerate(experts_s) if len(times) > 1}
+    if len(truth_s) < 3:
         return None
     own_s = float(np.median(np.diff(truth_s)))
-    densest = int(np.argmin(spacings))
-    step_s = min(spacings[densest], LONGEST_STEP_S)
+    step_s = min([*spacings.values(), LONGEST_STEP_S])
     if own_s > DENSE_S or step_s < DENSER * own_s:
         return None
-    times = experts_s[densest]
+    times = experts_s[min(spacings, key=spacings.__getitem__)] if spacings else np.zeros(0)
     near = np.clip(np.searchsorted(truth_s, times), 1, len(truth_s) - 1)
     near -= times - truth_s[near - 1] < truth_s[near] - times
     marks = np.unique(near[np.abs(truth_s[near] - times) <= own_s])
