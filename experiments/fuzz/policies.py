@@ -12,6 +12,7 @@ import json
 import tempfile
 import traceback
 import warnings
+from copy import deepcopy
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -171,7 +172,8 @@ def _exchange_value(rng: np.random.Generator, description: dict[str, Any]) -> No
         case 1 if isinstance(place, dict):
             place[f"{key}?"] = place.pop(key)
         case _:
-            place[key] = VALUES[int(rng.integers(len(VALUES)))]
+            # A copy: the next change may be made inside it, and end in a ring.
+            place[key] = deepcopy(VALUES[int(rng.integers(len(VALUES)))])
 
 
 @dataclass(frozen=True)
