@@ -5,11 +5,14 @@ from __future__ import annotations
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar, Literal
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 from tyro.conf import Positional
 
 from mixo_env.nuscenes.selections import CAMERAS
+
+if TYPE_CHECKING:
+    from mixo_env.recordings.collection import Recordings
 
 
 @dataclass(frozen=True)
@@ -120,6 +123,10 @@ class Record:
             recordings = record(
                 judged, config, self.out, workers=self.workers, progress=report, scheduler=self.scheduler
             )
+        return self._say(recordings)
+
+    def _say(self, recordings: Recordings) -> int:
+        """What was recorded, and the exit code."""
         manifest = recordings.manifest
         skipped = len(manifest.parameters["skipped"])
         broken = sum(
