@@ -68,7 +68,7 @@ def simulate(
     for name in only:
         if name not in {scene.name for scene in everything}:
             raise ConfigurationError(unknown("scene", name, [scene.name for scene in everything]))
-    out = out.resolve()
+    out = out.absolute()
     _claim(config, out)
     asked = [scene for scene in everything if not only or scene.name in only]
     unfinished = {scene.name for scene in asked if not _part(out, scene).exists()}
