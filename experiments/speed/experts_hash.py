@@ -30,7 +30,7 @@ from mixo_env.experts.monocular.config import MonocularConfig
 from mixo_env.experts.monocular.odometry import MonocularOdometry
 from mixo_env.nuscenes.scene import CameraCalibration, CanBus, Signal
 from mixo_env.nuscenes.selections import ALL_CAMERAS
-from mixo_env.simulator.city.world import build_world
+from mixo_env.simulator.city.world import CityPlan, build_world
 from mixo_env.simulator.drive.rig import nominal_calibration
 from mixo_env.simulator.picture.render import Renderer
 
@@ -97,7 +97,7 @@ def renderer(weather: str) -> Renderer:
     return Renderer(_city(), weather)
 
 
-_city = cache(partial(build_world, 3, half_blocks=2, variety=6, ground_side=1024, parked=0.8))
+_city = cache(partial(build_world, 3, CityPlan(half_blocks=2, variety=6, ground_side=1024, parked=0.8)))
 
 
 @cache
