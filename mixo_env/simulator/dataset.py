@@ -128,11 +128,11 @@ def _simulate_log(config: SimulationConfig, log: LogPlan, plans: Sequence[SceneP
 
 def _renderer(config: SimulationConfig, log: LogPlan) -> Renderer:
     """The log's city in its weather."""
-    from mixo_env.simulator.city.world import build_world
+    from mixo_env.simulator.city.world import CityPlan, build_world
     from mixo_env.simulator.picture.render import Renderer
 
     walls: dict[str, Any] = {"grain": 0.4, "blank_walls": 0.5} if log.low_texture else {}
-    world = build_world(log.world_seed, blank_sides=blank_sides(config, log), **walls)
+    world = build_world(log.world_seed, CityPlan(blank_sides=blank_sides(config, log), **walls))
     return Renderer(world, log.weather)
 
 
