@@ -170,7 +170,7 @@ class TutorialOdometry:
             return None
         # OpenCV maps points from the first camera to the second: the camera itself turned the other way.
         turned = self.camera.rotation @ rotation.T @ self.camera.rotation.T
-        residual = _sampson_px(essential, intrinsic, first[agree], second[agree])
+        residual = _sampson_px(np.asarray(essential, np.float64), intrinsic, first[agree], second[agree])
         return _Motion(math.atan2(turned[1, 0], turned[0, 0]), int(agree.sum()), float(np.median(residual)))
 
 
