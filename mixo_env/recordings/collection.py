@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from mixo_env.errors import ConfigurationError, RecordingError, unknown
 from mixo_env.experts.families import FAMILIES, is_family_expert
-from mixo_env.recordings.schema import SPLITS, TRACKS, UNEQUAL, Manifest, SceneEntry, in_split
+from mixo_env.recordings.schema import HEADLINE_TRACKS, SPLITS, TRACKS, UNEQUAL, Manifest, SceneEntry, in_split
 
 Column = NDArray[Any]
 
@@ -97,8 +97,7 @@ class Recordings:
         VISION needs somebody besides the inertial experts, UNEQUAL an expert of another family.
         """
         inertial, others = self.manifest.inertial, self.manifest.cameras + self.manifest.imported
-        headline = (t for t in TRACKS if t != UNEQUAL)
-        playable = [t for t in headline if TRACKS[t] in inertial or (others and not (inertial and TRACKS[t]))]
+        playable = [t for t in HEADLINE_TRACKS if TRACKS[t] in inertial or (others and not (inertial and TRACKS[t]))]
         return (*playable, *([UNEQUAL] if self.further else []))
 
     @property

@@ -29,6 +29,9 @@ TRACKS: dict[str, str | None] = {
 }
 """Track -> the inertial expert that votes beside the cameras (``None``: none does). Never mixed in one table."""
 
+HEADLINE_TRACKS = tuple(track for track in TRACKS if track != UNEQUAL)
+"""Those in which the cameras' own odometry votes: recording more experts changes nothing in them."""
+
 SPLITS: dict[str, tuple[int, ...]] = {"train": (0, 1, 2), "test": (3,), "all": (0, 1, 2, 3), "ood": (-1,)}
 """Named splits -> folds; fold -1 holds the night scenes, which are in no fold of the cross-validation.
 
