@@ -83,7 +83,8 @@ def test_without_texture_it_is_lost_and_then_goes_on() -> None:
 def test_images_of_another_place_are_lost() -> None:
     rng = np.random.default_rng(0)
     odometry = TutorialOdometry(calibration())
-    images = [cv2.resize(rng.integers(0, 255, (HEIGHT // 4, WIDTH // 4), np.uint8), (WIDTH, HEIGHT)) for _ in range(2)]
+    small = [rng.integers(0, 255, (HEIGHT // 4, WIDTH // 4), np.uint8) for _ in range(2)]
+    images = [np.asarray(cv2.resize(image, (WIDTH, HEIGHT)), np.uint8) for image in small]
     steps = [odometry.process(image, k, 1.0) for k, image in enumerate(images, start=1)]
     assert steps[1].state is State.LOST
 
@@ -104,7 +105,7 @@ def test_same_bits_whatever_came_before_and_whatever_the_state_of_opencv() -> No
     long, short = TutorialOdometry(camera), TutorialOdometry(camera)
     first = [long.process(image, k, 1.0) for k, image in enumerate(images, start=1)][-1]
     cv2.setRNGSeed(12345)
-    cv2.randu(np.zeros((4, 4)), 0.0, 1.0)
+    cv2.randu(np.zeros((4, 4)), np.zeros(1), np.ones(1))
     again = [short.process(image, k, 1.0) for k, image in enumerate(images[1:], start=1)][-1]
     assert first == again
 
