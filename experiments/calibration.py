@@ -143,7 +143,7 @@ def draw(told: list[Told], path: Path) -> None:
     stated = [100.0 * math.erf(limit / math.sqrt(2.0)) for limit in limits]
     shown = [name for name in CONDITIONS if any(part.condition == name for part in told)]
     styles = dict(zip(dict.fromkeys(part.expert for part in told), _styles(), strict=False))
-    figure = Figure(figsize=(3.6 * len(shown) + 0.4, 4.4), layout="constrained")
+    figure = Figure(figsize=(3.4 * len(shown) + 0.6, 4.9), layout="constrained")
     FigureCanvasAgg(figure)
     panels: Any = figure.subplots(1, len(shown), squeeze=False, sharey=True)[0]
     for panel, name in zip(panels, shown, strict=True):

@@ -166,6 +166,17 @@ def test_signals_a_gate_can_use(recordings: Recordings) -> None:
     np.testing.assert_array_equal(seen["state"][:, place], recordings["TUTORIAL_FRONT.state"][first])
 
 
+def test_counts_of_a_further_expert_are_not_asked_of_others(bare: Recordings, recordings: Recordings) -> None:
+    """An imported expert of no family, without match counts, stays uncounted when one with counts joins UNEQUAL."""
+    rows = [orb_file(bare, scene.name) for scene in bare.scenes]
+    mine = {s.name: replace(row, quality=None) for s, row in zip(bare.scenes, rows, strict=True)}
+    alone, beside = (with_imported(each, "MINE", mine) for each in (bare, recordings))
+    assert "MINE" in alone.voters("VISION")
+    assert beside.voters("VISION") == alone.voters("VISION")
+    assert Replay(beside, track="VISION").counting == Replay(alone, track="VISION").counting == CAMERAS
+    assert beside.manifest.reward_scale_rad["VISION"] == alone.manifest.reward_scale_rad["VISION"]
+
+
 def test_environment(recordings: Recordings, bare: Recordings) -> None:
     env = gym.make("MixoOdometry-v0", recordings=recordings, track=UNEQUAL)
     _, info = env.reset(seed=0)
