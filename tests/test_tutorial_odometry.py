@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import math
+import os
+from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 
+from experiments.speed.drives import open_drives
 from mixo_env.errors import ConfigurationError, DatasetError
 from mixo_env.experts.expert import CameraStep, State
 from mixo_env.experts.tutorial import TutorialConfig, TutorialOdometry, _sampson_px
@@ -159,3 +162,18 @@ def test_bad_input() -> None:
 def test_settings_out_of_range(values: dict[str, float]) -> None:
     with pytest.raises(ConfigurationError):
         TutorialConfig(**values)  # type: ignore[arg-type]
+
+
+@pytest.mark.skipif("MIXO_REAL_DATA" not in os.environ, reason="MIXO_REAL_DATA is not set")
+def test_real_images_give_right_turns_with_gross_errors_among_them() -> None:
+    """51 images of KITTI 06: the median is that of a working odometry, the worst steps are flips of the five points."""
+    (kitti,) = open_drives(Path(os.environ["MIXO_REAL_DATA"]) / "kitti_06", (), ())
+    odometry = TutorialOdometry(kitti.calibration)
+    steps = [
+        odometry.process(kitti.read(path), int(stamp), 1.0)
+        for path, stamp in zip(kitti.image_paths, kitti.timestamp_us, strict=True)
+    ]
+    assert {step.state for step in steps[1:]} == {State.TRACKING}
+    error = np.degrees(np.array([step.yaw_increment_rad for step in steps[1:]]) - kitti.turn_rad)
+    assert np.median(np.abs(error)) < 0.15
+    assert np.sqrt(np.mean(error**2)) > 5 * np.median(np.abs(error))
