@@ -87,8 +87,8 @@ def test_names() -> None:
 def test_who_votes(bare: Recordings, recordings: Recordings) -> None:
     assert recordings.further == (*TUTORIALS, ORB)
     assert recordings.voters(UNEQUAL) == (*CAMERAS, *TUTORIALS, ORB)
-    assert recordings.tables == recordings.tracks == (*HEADLINE_TRACKS, UNEQUAL)
-    assert bare.tables == HEADLINE_TRACKS
+    assert recordings.distinct_tracks == recordings.tracks == (*HEADLINE_TRACKS, UNEQUAL)
+    assert bare.distinct_tracks == HEADLINE_TRACKS
     for track in HEADLINE_TRACKS:
         assert recordings.voters(track) == bare.voters(track)
     assert JOINT in variants(recordings)
@@ -129,7 +129,7 @@ def test_key_frames_keep_their_bits(bare: Recordings, recordings: Recordings) ->
 def test_its_own_table(recordings: Recordings) -> None:
     rows = ("CAM_BACK", JOINT, *TUTORIALS, ORB, "HIGHEST MATCH", "MEDIAN", "LINEAR", "HUBER", "ORACLE ALL")
     board = build(recordings, policies=rows)
-    vision, unequal = (next(t for t in board.tables if t.track == track) for track in ("VISION", UNEQUAL))
+    vision, unequal = (next(t for t in board.standings if t.track == track) for track in ("VISION", UNEQUAL))
     assert not {row.name for row in vision.rows} & {*TUTORIALS, ORB}
     assert {row.name for row in unequal.rows} == set(rows)
     by_name = {row.name: row for row in unequal.rows}
@@ -147,7 +147,7 @@ def test_its_own_table(recordings: Recordings) -> None:
 
 def test_a_single_expert_plays_its_own_columns(recordings: Recordings) -> None:
     """And not those of the camera whose images it saw."""
-    (table,) = build(recordings, policies=["CAM_FRONT", "TUTORIAL_FRONT"], tracks=(UNEQUAL,)).tables
+    (table,) = build(recordings, policies=["CAM_FRONT", "TUTORIAL_FRONT"], tracks=(UNEQUAL,)).standings
     camera, tutorial = ({row.name: row for row in table.rows}[name] for name in ("CAM_FRONT", "TUTORIAL_FRONT"))
     assert tutorial.headline.yaw_increment_rmse_deg > 3 * camera.headline.yaw_increment_rmse_deg
 
