@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any, ClassVar
 
 import numpy as np
@@ -17,6 +16,9 @@ from mixo_env.policies.robust import believable, median_weights
 
 LAG = 24
 """Steps of the future, two seconds at 12 Hz."""
+Ring = tuple[FloatArray, FloatArray, FloatArray, FloatArray, NDArray[np.bool_]]
+"""Of the last steps shown, ``(slots, batch, ...)``: biases, variances of white errors, gains back to the step before
+``(..., n, n)``, diagonal of F since then; and whether the scene still went on."""
 SMALLEST_BIAS_RADPS = 1e-7
 """Keeps covariances invertible for an expert that never drifts."""
 
@@ -41,43 +43,66 @@ def backward_gain(covariance: FloatArray, drift: FloatArray, dt: float) -> Float
 
 
 @compiled
-def remember(state: tuple[Any, ...], told: tuple[Any, ...], drift: FloatArray, dt: FloatArray, active: Any) -> tuple:
-    """One filtered step of every active scene: biases, their noise, and the gain that leads back to the step before.
+def remember(
+    state: tuple[FloatArray, FloatArray],
+    told: tuple[Any, ...],
+    drift: FloatArray,
+    dt: FloatArray,
+    ring: Ring,
+    slot: int,
+) -> None:
+    """Filter one step of every scene that is still ``active`` in the slot, and write what leads back from it.
 
-    Returns:
-        ``(batch, n)`` biases, variances of the white errors, and ``(batch, n, n)`` gains.
+    Args:
+        state: biases ``(batch, n)`` and covariances ``(batch, n, n)``, changed in place.
+        told: ``(batch, n)`` increments, standard deviations, who votes.
+        drift: as in :func:`~mixo_env.policies.bias_steps.step_row`.
+        dt: ``(batch,)``.
+        ring: see :data:`Ring`.
+        slot: of this step.
     """
+    biases, noises, gains, fades, active = ring
     bias, covariance = state
     values, std, counts = told
-    batch, n = values.shape
-    noise, gain = np.full((batch, n), math.inf), np.zeros((batch, n, n))
-    for b in range(batch):
-        if active[b]:
-            gain[b] = backward_gain(covariance[b], drift, dt[b])
-            step_row((bias[b], covariance[b]), (values[b], std[b], counts[b]), drift, dt[b], noise[b])
-    return bias.copy(), noise, gain
+    for b in range(len(values)):
+        if active[slot, b]:
+            gains[slot, b] = backward_gain(covariance[b], drift, dt[b])
+            fades[slot, b] = np.exp(-dt[b] / drift[2])
+            step_row((bias[b], covariance[b]), (values[b], std[b], counts[b]), drift, dt[b], noises[slot, b])
+            biases[slot, b] = bias[b]
 
 
 @compiled
-def smoothed(biases: FloatArray, gains: FloatArray, fades: FloatArray) -> FloatArray:
-    """Biases ``(n,)`` of the first of some steps given all of them.
-
-    b_k|K = b_k + G (b_k+1|K - F b_k).
-
-    Args:
-        biases: ``(steps, n)`` filtered.
-        gains: ``(steps, n, n)``; entry k leads from step k back to k - 1.
-        fades: ``(steps, n)`` diagonal of F from step k - 1 to k.
-    """
-    steps, n = biases.shape
-    later = biases[steps - 1].copy()
-    for k in range(steps - 1, 0, -1):
-        here = biases[k - 1].copy()
+def look_back(ring: Ring, first: int, b: int) -> FloatArray:
+    """Biases ``(n,)`` of scene ``b`` at slot ``first`` given all later slots: b_k|K = b_k + G (b_k+1|K - F b_k)."""
+    biases, _, gains, fades, active = ring
+    slots, _, n = biases.shape
+    last = 0
+    while last + 1 < slots and active[(first + last + 1) % slots, b]:
+        last += 1
+    later = biases[(first + last) % slots, b].copy()
+    for k in range(last, 0, -1):
+        here, following = (first + k - 1) % slots, (first + k) % slots
+        earlier = biases[here, b].copy()
         for i in range(n):
             for j in range(n):
-                here[i] += gains[k, i, j] * (later[j] - fades[k, j] * biases[k - 1, j])
-        later = here
+                earlier[i] += gains[following, b, i, j] * (later[j] - fades[following, b, j] * biases[here, b, j])
+        later = earlier
     return later
+
+
+@compiled
+def decide(
+    ring: Ring, first: int, values: FloatArray, constant: FloatArray, dt: FloatArray, weights: FloatArray
+) -> None:
+    """Weights ``(batch, n)`` of the step in slot ``first``; zero where nobody had a vote. ``constant`` [rad/s]."""
+    for b in range(len(values)):
+        bias = look_back(ring, first, b)
+        trust = 1.0 / ring[1][first, b]
+        weights[b] = 0.0
+        if trust.sum() > 0.0:
+            target = (trust * (values[b] - dt[b] * (constant + bias))).sum() / trust.sum()
+            point_at(target, values[b], trust > 0.0, weights[b])
 
 
 class Smoother(BiasFilter):
@@ -95,39 +120,36 @@ class Smoother(BiasFilter):
     def reset(self, batch: int) -> None:
         """Forget the past and the future."""
         super().reset(batch)
-        index = np.arange(len(self.experts))
-        self._covariance[:, index, index] = np.maximum(self._drift.slow_radps, SMALLEST_BIAS_RADPS) ** 2
-        self._ahead: list[tuple[FloatArray, FloatArray, FloatArray, FloatArray, NDArray[np.bool_]]] = []
+        n, slots = len(self.experts), LAG + 1
+        self._drifting = self._constants.copy()
+        self._drifting[1] = np.maximum(self._drifting[1], SMALLEST_BIAS_RADPS)
+        self._covariance = np.tile(np.diag(self._drifting[1] ** 2), (batch, 1, 1))
+        noises, active = np.full((slots, batch, n), np.inf), np.zeros((slots, batch), np.bool_)
+        self._ring: Ring = np.zeros((slots, batch, n)), noises, np.zeros((slots, batch, n, n)), noises.copy(), active
+        self._shown = self._decided = 0
 
     def preview(self, observation: Observation, active: NDArray[np.bool_]) -> None:
         """Filter a step of the future."""
         told, dt = self._hear(observation)
-        drift = self._constants.copy()
-        drift[1] = np.maximum(drift[1], SMALLEST_BIAS_RADPS)
-        state = self._bias, self._covariance
-        bias, noise, gain = remember(state, told, drift, dt, active)
-        self._ahead.append((bias, noise, gain, np.exp(-dt[:, None] / drift[2]), active.copy()))
+        slot = self._shown % (LAG + 1)
+        self._ring[4][slot] = active
+        remember((self._bias, self._covariance), told, self._drifting, dt, self._ring, slot)
+        self._shown += 1
 
     def act(self, observation: Observation) -> Weights:
         """Rows ``(batch, experts)`` that sum to one.
 
         Raises:
-            KeyError: without :meth:`preview`: it must be played as non-causal.
+            KeyError: for a step without :meth:`preview`.
         """
-        if not self._ahead:
-            raise KeyError(f"the future: {self.name} is played by mixo_env.policies.playing.play alone")
+        if self._decided >= self._shown:
+            raise KeyError(f"the future: {self.name} needs `preview`, as mixo_env.policies.playing.play gives it")
         dt = observation["dt"][:, 0].astype(np.float64)
-        values, counts = observation["yaw_rates"] * dt[:, None], believable(observation)
-        weights = np.zeros(values.shape)
-        biases, noises, gains, fades, active = (np.stack(rows, axis=1) for rows in zip(*self._ahead, strict=True))
-        for b in range(len(values)):
-            steps = max(int(active[b].sum()), 1)
-            bias = smoothed(biases[b, :steps], gains[b, :steps], fades[b, :steps])
-            trust = 1.0 / noises[b, 0]
-            if trust.sum() > 0.0:
-                apart = values[b] - dt[b] * (self._constants[0] + bias)
-                point_at(float(trust @ apart / trust.sum()), values[b], trust > 0.0, weights[b])
-            else:
-                weights[b] = median_weights(values[b : b + 1], counts[b : b + 1])[0]
-        self._ahead.pop(0)
+        values = observation["yaw_rates"] * dt[:, None]
+        weights = np.empty(values.shape)
+        decide(self._ring, self._decided % (LAG + 1), values, self._constants[0], dt, weights)
+        undecided = ~weights.any(axis=1)
+        if undecided.any():
+            weights[undecided] = median_weights(values[undecided], believable(observation)[undecided])
+        self._decided += 1
         return weights
