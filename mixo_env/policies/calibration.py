@@ -74,10 +74,12 @@ class Calibration:
 
     def std(self, observation: Observation) -> FloatArray:
         """Standard deviations ``(batch, experts)`` of the coming increments [rad], never below 1e-6."""
-        dt = observation["dt"].astype(np.float64)
-        stated = observation["yaw_rate_std"] * dt
+        stated = observation["yaw_rate_std"]
+        if not stated.any():
+            return np.broadcast_to(self.std_rad, stated.shape).copy()
         known = (stated > 0.0) & np.isfinite(self.factor)
-        return np.where(known, np.maximum(np.where(known, self.factor, 1.0) * stated, SMALLEST_SCALE_RAD), self.std_rad)
+        scaled = np.where(known, self.factor, 1.0) * stated * observation["dt"].astype(np.float64)
+        return np.where(known, np.maximum(scaled, SMALLEST_SCALE_RAD), self.std_rad)
 
     def tensors(self) -> dict[str, NDArray[Any]]:
         """Both arrays."""

@@ -23,6 +23,8 @@ DEGREES_OF_FREEDOM = (1.0, 2.0, 3.0, 5.0, 8.0, 16.0)
 SAFE = 5.0
 """nu where there are no logs to choose it on."""
 ITERATIONS = 20
+SETTLED = 1e-4
+"""The climb ends with a move of less than so many of the smallest standard deviation."""
 
 
 @compiled
@@ -43,11 +45,12 @@ def likeliest(values: FloatArray, std: FloatArray, counts: NDArray[np.bool_], nu
         The value; NaN where nobody votes.
     """
     n = len(values)
-    centre, least = math.nan, math.inf
+    centre, least, sharpest = math.nan, math.inf, math.inf
     for i in range(n):
         weights[i] = 0.0
         if counts[i] and std[i] < math.inf:
             cost = 0.0
+            sharpest = min(sharpest, std[i])
             for j in range(n):
                 if counts[j] and std[j] < math.inf:
                     r = (values[j] - values[i]) / std[j]
@@ -64,9 +67,12 @@ def likeliest(values: FloatArray, std: FloatArray, counts: NDArray[np.bool_], nu
                 weights[j] = (nu + 1.0) / (nu + r * r) / (std[j] * std[j])
                 total += weights[j]
                 moved += weights[j] * (values[j] - centre)
-        centre += moved / total
+        move = moved / total
+        centre += move
         for j in range(n):
             weights[j] /= total
+        if abs(move) <= SETTLED * sharpest:
+            break
     return centre
 
 
@@ -92,8 +98,9 @@ def agreement(observation: Observation, calibration: Calibration) -> tuple[Float
     counts, std = believable(observation), calibration.std(observation)
     weights = consensus_weights(increments, std, counts, SAFE)
     known = counts & np.isfinite(std)
-    unknown = ~known.any(axis=1, keepdims=True)
-    known, std = np.where(unknown, counts, known), np.where(unknown, 1.0, std)
+    somebody = known.any(axis=1, keepdims=True)
+    if not somebody.all():
+        known, std = np.where(somebody, known, counts), np.where(somebody, std, 1.0)
     apart = increments - np.sum(weights * increments, axis=1, keepdims=True)
     return apart / std, std, known
 
