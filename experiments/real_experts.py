@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from mixo_env.cli.import_ import Import
 from mixo_env.errors import ConfigurationError, MixoError, PolicyError
 from mixo_env.leaderboard.crossvalidation import CrossValidation
-from mixo_env.leaderboard.evaluation import Course, Motion
+from mixo_env.leaderboard.evaluation import Travel, Truth
 from mixo_env.policies.registry import names as policy_names
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.store import load_recordings
@@ -113,7 +113,7 @@ def study(recordings: Recordings, policies: Sequence[str], seed: int = 0) -> Tab
         seed: of learned policies.
     """
     protocol = CrossValidation(recordings, seed=seed)
-    course = Course(protocol.recordings, protocol.truths[0])
+    truth = Truth(protocol.recordings, protocol.truths[0])
     experts = recordings.manifest.imported
     wanted = dict.fromkeys((*experts, REFERENCE, *(policies or policy_names(recordings))))
     scores: dict[str, Scored] = {}
@@ -128,7 +128,7 @@ def study(recordings: Recordings, policies: Sequence[str], seed: int = 0) -> Tab
                 raise
             logger.info("%s: %s", name, error)
             continue
-        scores[name] = scored(course, run.motion)
+        scores[name] = scored(truth, run.travel)
         if run.privileged:
             privileged.add(name)
     alone = {name: scores.pop(name) for name in experts}
@@ -136,9 +136,9 @@ def study(recordings: Recordings, policies: Sequence[str], seed: int = 0) -> Tab
     return table(scores, privileged, [scene.name for scene in protocol.recordings.scenes])
 
 
-def scored(course: Course, motion: Motion) -> Scored:
-    """Errors of a motion, sequence by sequence."""
-    errors = course.measure(motion)
+def scored(truth: Truth, travel: Travel) -> Scored:
+    """Errors of a travel, sequence by sequence."""
+    errors = truth.measure(travel)
     relative, count = errors.relative, len(errors.steps)
     pieces = np.bincount(relative.scene, minlength=count)
     total = np.bincount(relative.scene, weights=relative.rotation_deg_per_m, minlength=count)
