@@ -4,7 +4,7 @@ BIN := .venv/bin
 WORKERS ?= 2
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: benchmark mixocity test integration lint types unit format clean
+.PHONY: benchmark mixocity test integration integrations site faults coverage lint types unit format clean
 
 benchmark: .venv/installed  ## the leaderboard on the bundled recordings
 	$(BIN)/mixo benchmark
@@ -24,8 +24,16 @@ types: .venv/installed
 unit: .venv/installed
 	$(BIN)/python -m pytest -n 2 --dist loadscope -m "not integration"
 
-integration: .venv/integrations  ## needs minutes, other virtual environments or peers; absent peers are skipped
-	$(BIN)/python -m pytest -m integration
+integration: integrations site faults  ## minutes each; peers that are absent are skipped
+
+integrations: .venv/integrations  ## other libraries, programs and virtual environments
+	$(BIN)/python -m pytest -m "integration and not site and not faults"
+
+site: .venv/integrations  ## README, pages and notebook, followed word by word
+	$(BIN)/python -m pytest -m site
+
+faults: .venv/integrations  ## kills and damage at random
+	$(BIN)/python -m pytest -m faults
 
 format: .venv/installed
 	$(BIN)/ruff format .

@@ -81,7 +81,7 @@ def _compile(function: Any, **options: Any) -> Any:
 
 
 def _interpreted(function: Any) -> Any:
-    """The function as plain Python, for coverage and debuggers: rows of structured arrays have attributes as in numba."""
+    """The function as plain Python, for coverage and debuggers: rows of structured arrays have attributes."""
 
     @functools.wraps(function)
     def call(*arguments: Any, **named: Any) -> Any:
