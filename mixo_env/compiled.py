@@ -74,7 +74,8 @@ def _compile(function: Any, **options: Any) -> Any:
     import numba
     import numba.core.config
 
-    if numba.core.config.DISABLE_JIT:
+    config: Any = numba.core.config
+    if config.DISABLE_JIT:
         return _interpreted(function)
     with _numba_cache_for(Path(function.__code__.co_filename)) as found:
         return numba.njit(cache=found, **options)(function)
