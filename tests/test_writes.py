@@ -14,6 +14,7 @@ WRITER = "mixo_env/files.py"
 
 IN_A_TEMPORARY_FOLDER = {
     "experiments/fuzz/folders.py": "damages files of a throw-away folder, one after the other",
+    "experiments/fuzz/networks.py": "damages trained networks in a throw-away folder",
     "experiments/fuzz/policies.py": "damages a saved policy in a throw-away folder",
     "experiments/fuzz/stores.py": "damages recordings in a throw-away folder",
     "experiments/fuzz/trajectories.py": "damages trajectory files in a throw-away folder",
