@@ -5,9 +5,9 @@ to standard output itself.
 
 Job: ``{"images": .npy of (n, height, width) uint8, "times_s": [n], "pace": share of real time or null, "settings": YAML
 file, "vocabulary": text file, "result": file to write}``. With a pace an image is due one interval (over pace) after
-the previous one was handed over: mapping runs in other threads and gets the time it would have on a car. Without one it
-is due when these threads have come to rest (at most ``PATIENCE_S`` later): never too early on a busy machine, and no
-later than needed on a quiet one.
+the previous one was handed over: mapping runs in other threads and gets the time it would have on a car. On a machine
+that does other things it would get less; therefore, without a pace, an image is due when these threads have come to
+rest, or have had a processor for one interval: what a car with a core to spare would give them, at any load.
 
 Result, times in seconds: per image ``"poses"`` (4 x 4 world from camera as nested lists; null unless its state is OK),
 ``"states"`` (its name of it), ``"matches"`` (map points tracked; 0 unless OK), ``"tracking_s"`` (CPU of the calling
@@ -28,8 +28,8 @@ from pathlib import Path
 import numpy as np
 import pyorbslam3
 
-PATIENCE_S = 2.0  # for one image: rest may never come
 REST_POLLS, POLL_S = 4, 0.002  # resting threads look for work every 3 ms: so long without a running one is rest
+PATIENCE_S = 10.0  # a processor may never come
 
 
 def _running() -> bool:
@@ -46,11 +46,15 @@ def _running() -> bool:
     return False
 
 
-def _rest() -> None:
-    """Wait until the threads beside this one are at rest."""
-    end = time.monotonic() + PATIENCE_S
-    quiet = 0
-    while quiet < REST_POLLS and time.monotonic() < end:
+def _others_s() -> float:
+    """Processor time of the threads beside this one so far."""
+    return time.process_time() - time.thread_time()
+
+
+def _rest(processor_s: float) -> None:
+    """Wait until the threads beside this one are at rest, or have had so much processor time in all."""
+    end, quiet = time.monotonic() + PATIENCE_S, 0
+    while quiet < REST_POLLS and _others_s() < processor_s and time.monotonic() < end:
         time.sleep(POLL_S)
         quiet = 0 if _running() else quiet + 1
 
@@ -62,15 +66,15 @@ def main() -> None:
     slam = pyorbslam3.Slam(job["vocabulary"], job["settings"], pyorbslam3.Sensor.MONOCULAR)
     result: dict = {"poses": [], "states": [], "matches": [], "tracking_s": [], "late_s": []}
     begun_process = time.process_time()
-    handed, before = time.monotonic(), job["times_s"][0]
+    handed, before, worked_s = time.monotonic(), job["times_s"][0], _others_s()
     for image, at in zip(images, job["times_s"], strict=True):
         if job["pace"] is None:
-            _rest()
+            _rest(worked_s + at - before)
             due = time.monotonic()
         else:
             due = handed + (at - before) / job["pace"]
             time.sleep(max(0.0, due - time.monotonic()))
-        handed, before = time.monotonic(), at
+        handed, before, worked_s = time.monotonic(), at, _others_s()
         result["late_s"].append(max(0.0, handed - due))
         start = time.thread_time()
         found = slam.track_monocular(np.ascontiguousarray(image), at)

@@ -65,7 +65,8 @@ class Orbslam3Expert:
     settings: Literal["small", "paper"] = "small"
     """small: 2000 corners, 8 levels, images halved to 800 x 450; paper: 8000 corners, 19 levels, 1600 x 900."""
     pace: float | None = None
-    """Share of real time at which images are handed over. None: each as soon as the work on those before is done."""
+    """Share of real time at which images are handed over. None: each when mapping is at rest, or has had the
+    processor for as long as on a car: it does not starve on a machine that does other things."""
 
     def run(self) -> int:
         """Write the files; 1 if ORB-SLAM3 died somewhere.
