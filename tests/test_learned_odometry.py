@@ -99,7 +99,7 @@ def test_the_turn_of_the_car(mounting_deg: float, halved: bool) -> None:
 
 @with_xfeat
 def test_later_pictures_change_no_earlier_step() -> None:
-    config = LearnedConfig(300, halved=True)
+    config = LearnedConfig(300)
     plain, spoilt = drive(0.0, config), drive(0.0, config, spoilt=4)
     assert repr(plain[:4]) == repr(spoilt[:4])
     assert spoilt[4].state is State.LOST
@@ -139,7 +139,7 @@ def test_corners_are_those_of_the_package() -> None:
     peer.dev = torch.device("cpu")
     found = peer.to("cpu").detectAndCompute(torch.from_numpy(image.copy())[None, None])[0]
     theirs = {tuple(place): text for place, text in zip(found["keypoints"].tolist(), found["descriptors"], strict=True)}
-    frame = XFeatFrontEnd(LearnedConfig(500)).frame(image)
+    frame = XFeatFrontEnd(LearnedConfig(500, halved=False)).frame(image)
     common = [
         (theirs[tuple(place)].numpy(), text)
         for place, text in zip(frame.position_px.tolist(), frame.description, strict=True)
@@ -152,7 +152,7 @@ def test_corners_are_those_of_the_package() -> None:
 @with_xfeat
 @pytest.mark.parametrize("shape", [(360, 640), (40, 70), (20, 30)])
 def test_pictures_that_show_nothing(shape: tuple[int, int]) -> None:
-    front = XFeatFrontEnd(LearnedConfig(halved=True))
+    front = XFeatFrontEnd()
     frame = front.frame(np.full(shape, 90, np.uint8))
     other = front.frame(np.random.default_rng(0).integers(0, 255, shape, np.uint8))
     assert frame.description.shape == (len(frame.position_px), 64)

