@@ -45,7 +45,7 @@ class Lessons:
 
 
 def lessons(training: Recordings, track: str, usual: Usual, spoilt: int, seed: int) -> Lessons:
-    """Training scenes, the same mirrored, and ``spoilt`` times with experts that drop out or break.
+    """Training scenes, and ``spoilt`` times the same with experts that drop out or break.
 
     In every other of those nothing is known of the experts beforehand: so a gate learns to judge strangers.
 
@@ -59,16 +59,13 @@ def lessons(training: Recordings, track: str, usual: Usual, spoilt: int, seed: i
     rng = np.random.default_rng(seed)
     seen, truth, active = watch(training, track)
     nothing = Usual(np.full_like(usual.scale_rad, np.nan), np.full_like(usual.share, np.nan))
-    versions = [(seen, truth, usual), (mirrored(seen), -truth, usual)]
-    for k in range(spoilt):
-        changed, target = (mirrored(seen), -truth) if k % 2 else (seen, truth)
-        versions.append((spoil(changed, active, rng), target, usual if k % 2 else nothing))
-    told = [told_in_tokens(one, known) for one, _, known in versions]
+    versions = [(seen, usual), *((spoil(seen, active, rng), usual if k % 2 else nothing) for k in range(spoilt))]
+    told = [told_in_tokens(one, known) for one, known in versions]
     return Lessons(
         *(np.concatenate([parts[j] for parts in told]) for j in range(3)),
-        voting=_scenes_first([one.voting for one, _, _ in versions]),
-        increment=_scenes_first([one.increment for one, _, _ in versions]).astype(np.float32),
-        truth=_scenes_first([target for _, target, _ in versions]).astype(np.float32),
+        voting=_scenes_first([one.voting for one, _ in versions]),
+        increment=_scenes_first([one.increment for one, _ in versions]).astype(np.float32),
+        truth=_scenes_first([truth] * len(versions)).astype(np.float32),
         active=_scenes_first([active] * len(versions)),
         pieces=pieces(training) * len(versions),
     )
@@ -93,11 +90,6 @@ def watch(training: Recordings, track: str) -> tuple[Seen, FloatArray, NDArray[n
     counts = np.stack([step.counts for step in steps], axis=1)
     stacked = [np.stack([getattr(step, name) for step in steps]) for name in ("increment", "std", "voting", "step")]
     return Seen(*stacked[:3], counts, stacked[3]), np.stack(truth), np.stack(active)
-
-
-def mirrored(seen: Seen) -> Seen:
-    """Left for right: a turn is as likely and as hard the other way round."""
-    return seen._replace(increment=-seen.increment)
 
 
 def spoil(seen: Seen, active: NDArray[np.bool_], rng: np.random.Generator) -> Seen:
