@@ -43,12 +43,12 @@ def main(settings: Settings) -> None:
 
     # What constant weights are worth shows between the front camera, all experts alike, and LINEAR.
     linear = Linear()
-    motions = {}
+    travels = {}
     for policy in (Single("CAM_FRONT"), Mean(), linear):
         prepare(policy, training, settings.track)
-        motions[policy] = rollout(policy, test, settings.track)
+        travels[policy] = rollout(policy, test, settings.track)
 
-    print(table_of(test, settings.track, motions))
+    print(table_of(test, settings.track, travels))
     for expert, weight in zip(linear.experts, linear.weights, strict=True):
         print(f"{expert:20}{weight:7.3f}")  # nothing forces the sum to one: the paper's is 1.037
     linear.save(settings.out)

@@ -65,12 +65,12 @@ def main(settings: Settings) -> None:
         decay=settings.decay,
         min_updates=settings.min_updates,
     )
-    motions = {}
+    travels = {}
     for policy in (mixo, Linear()):
         prepare(policy, training, settings.track, seed=settings.seed)
-        motions[policy] = rollout(policy, test, settings.track)  # each step sees the yaw rate it fused before
+        travels[policy] = rollout(policy, test, settings.track)  # each step sees the yaw rate it fused before
 
-    print(table_of(test, settings.track, motions))
+    print(table_of(test, settings.track, travels))
     mixo.save(settings.out)
     print(f"saved in {settings.out}")
 

@@ -47,13 +47,13 @@ def main(settings: Settings) -> None:
     training, test = hold_out(recordings, settings.fold)
 
     chosen = ORACLES[settings.policy]()
-    motions = {}
+    travels = {}
     for policy in (chosen, Linear()):
         prepare(policy, training, settings.track)
         # The true yaw rate enters the observation of a privileged policy and of no other.
-        motions[policy] = rollout(policy, test, settings.track, privileged=policy.privileged)
+        travels[policy] = rollout(policy, test, settings.track, privileged=policy.privileged)
 
-    print(table_of(test, settings.track, motions))
+    print(table_of(test, settings.track, travels))
     chosen.save(settings.out)
     print(f"saved in {settings.out}")
 

@@ -65,12 +65,12 @@ def main(settings: Settings) -> None:
         gamma=settings.gamma,
         learning_rate=settings.learning_rate,
     )
-    motions = {}
+    travels = {}
     for policy in (ppo, Linear()):
         prepare(policy, training, settings.track, seed=settings.seed)
-        motions[policy] = rollout(policy, test, settings.track)
+        travels[policy] = rollout(policy, test, settings.track)
 
-    print(table_of(test, settings.track, motions))
+    print(table_of(test, settings.track, travels))
     ppo.save(settings.out)
     print(f"saved in {settings.out}")
 

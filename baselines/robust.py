@@ -47,12 +47,12 @@ def main(settings: Settings) -> None:
     training, test = hold_out(recordings, settings.fold)
 
     chosen = RULES[settings.policy]()
-    motions = {}
+    travels = {}
     for policy in (chosen, Linear()):
         prepare(policy, training, settings.track)  # a rule that does not learn is only told who votes
-        motions[policy] = rollout(policy, test, settings.track)
+        travels[policy] = rollout(policy, test, settings.track)
 
-    print(table_of(test, settings.track, motions))
+    print(table_of(test, settings.track, travels))
     chosen.save(settings.out)
     print(f"saved in {settings.out}")
 

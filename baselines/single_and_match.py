@@ -45,12 +45,12 @@ def main(settings: Settings) -> None:
     training, test = hold_out(recordings, settings.fold)
 
     chosen = HighestMatch() if settings.policy == HighestMatch.name else Single(settings.policy)
-    motions = {}
+    travels = {}
     for policy in (chosen, Linear()):
         prepare(policy, training, settings.track)
-        motions[policy] = rollout(policy, test, settings.track)
+        travels[policy] = rollout(policy, test, settings.track)
 
-    print(table_of(test, settings.track, motions))
+    print(table_of(test, settings.track, travels))
     chosen.save(settings.out)
     print(f"saved in {settings.out}")
 

@@ -157,7 +157,7 @@ def _turns(recordings: Recordings, rows: Columns, drive: Scene) -> Iterator[tupl
     Raises:
         RecordingError: if the drive is not the recorded one.
     """
-    rounds = firing_rounds({camera: track.timestamp_us for camera, track in drive.cameras.items()})
+    rounds = firing_rounds({camera: reel.timestamp_us for camera, reel in drive.cameras.items()})
     times = np.unique(rounds.image_time_us[rounds.fired])
     assert isinstance(drive.can_bus, CanBus)
     yaw = InertialOdometry(drive.can_bus, "INERTIAL").at(times).yaw_rad

@@ -71,7 +71,7 @@ def study(recordings: Recordings, spent_ms: dict[str, float]) -> Table:
     board = build(recordings, policies=names, tracks=("VISION",), night=False)
     turning = _turning(board.recordings)
     rows = []
-    for row in board.tables[0].rows:
+    for row in board.standings[0].rows:
         inside = _coverage(recordings, row.name)
         increment = row.headline.yaw_increment_rmse_deg
         rows.append([row.name, *_relative(row, turning), increment, *inside, spent_ms.get(row.name, np.nan)])

@@ -16,7 +16,7 @@ import tyro
 
 from mixo_env.errors import ConfigurationError, MixoError
 from mixo_env.leaderboard.crossvalidation import CrossValidation, GroundTruth
-from mixo_env.leaderboard.evaluation import Course, noisy_truth, with_wheels
+from mixo_env.leaderboard.evaluation import Truth, noisy_truth, with_wheels
 from mixo_env.leaderboard.noise import yaw_noise
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.store import load_recordings
@@ -28,9 +28,9 @@ CLOCKS: tuple[GroundTruth, ...] = ("poses", "keyframes")
 
 def floors(recordings: Recordings) -> tuple[float, float]:
     """Error [deg/m] against the poses without their lag: of their estimated noise, and of the exact yaw."""
-    course = Course(recordings, "truth")
+    truth = Truth(recordings, "truth")
     exact = with_wheels(recordings, with_truth(recordings, "exact")["truth.yaw_increment_rad"])
-    told, true = (course.measure(motion).relative.rotation_deg_per_m for motion in (noisy_truth(recordings), exact))
+    told, true = (truth.measure(travel).relative.rotation_deg_per_m for travel in (noisy_truth(recordings), exact))
     return (float(told.mean()), float(true.mean())) if len(true) else (float("nan"), float("nan"))
 
 

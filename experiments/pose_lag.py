@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from mixo_env.errors import DatasetError, MixoError
 from mixo_env.leaderboard.crossvalidation import CrossValidation
-from mixo_env.leaderboard.evaluation import Course, Motion, with_wheels
+from mixo_env.leaderboard.evaluation import Travel, Truth, with_wheels
 from mixo_env.nuscenes.can_bus import read_can_bus
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.keyframes import at_keyframes
@@ -80,14 +80,14 @@ class WithWrongLag(CrossValidation):
 def scores(recordings: Recordings, seconds: float, truth: str = "truth") -> dict[str, tuple[float, float]]:
     """Row -> rotation RTE [deg/m] and ATE [deg] in track VISION, and of the exact yaw where there is one."""
     protocol = WithWrongLag(recordings, seconds)
-    course = Course(protocol.recordings, truth)
-    motions: dict[str, Motion] = {name: protocol.run(name, "VISION").motion for name in ROWS}
+    reference = Truth(protocol.recordings, truth)
+    travels: dict[str, Travel] = {name: protocol.run(name, "VISION").travel for name in ROWS}
     (exact,) = exact_turns(protocol.recordings)
     if np.isfinite(exact.turn_rad).any():
-        motions["PERFECT (exact yaw)"] = with_wheels(protocol.recordings, exact.turn_rad)
+        travels["PERFECT (exact yaw)"] = with_wheels(protocol.recordings, exact.turn_rad)
     found = {}
-    for name, motion in motions.items():
-        errors = course.measure(motion)
+    for name, travel in travels.items():
+        errors = reference.measure(travel)
         found[name] = (float(errors.relative.rotation_deg_per_m.mean()), float(errors.absolute.rotation_deg.mean()))
     return found
 

@@ -20,13 +20,12 @@ import tyro
 
 from mixo_env.errors import MixoError, PolicyError
 from mixo_env.files import write_json
-from mixo_env.leaderboard.board import Table, build
+from mixo_env.leaderboard.board import Standings, build
 from mixo_env.leaderboard.comparisons import LEVEL, Comparison
 from mixo_env.leaderboard.sentences import p_text, percent
 from mixo_env.policies.registry import kind, names
 from mixo_env.recordings.store import load_recordings
-from mixo_env.tables import Column
-from mixo_env.tables import Table as TextTable
+from mixo_env.tables import Column, Table
 
 
 @dataclass(frozen=True)
@@ -66,12 +65,12 @@ def tau_of_lettered(
     return Agreement((kept - len(turned)) / pairs if pairs else float("nan"), pairs, tuple(turned))
 
 
-def errors_of(table: Table) -> dict[str, float]:
+def errors_of(standings: Standings) -> dict[str, float]:
     """Row without a dagger -> headline error [deg/m]."""
-    return {row.name: row.headline.rotation_deg_per_m.mean for row in table.rows if not row.run.privileged}
+    return {row.name: row.headline.rotation_deg_per_m.mean for row in standings.rows if not row.run.privileged}
 
 
-def tables_of(recordings: str | None) -> dict[str, Table]:
+def standings_of(recordings: str | None) -> dict[str, Standings]:
     """The leaderboard by track, without expensive policies.
 
     Raises:
@@ -81,7 +80,7 @@ def tables_of(recordings: str | None) -> dict[str, Table]:
     if len({scene.fold for scene in loaded.scenes if scene.fold >= 0}) < 2:
         raise PolicyError(f"{recordings}: expected two folds or more, to learn in the city itself: record more drives")
     board = build(loaded, policies=[name for name in names(loaded) if not kind(name, loaded).expensive])
-    return {table.track: table for table in board.tables}
+    return {standings.track: standings for standings in board.standings}
 
 
 @dataclass(frozen=True)
@@ -122,18 +121,18 @@ class Claim:
         return f"{self.track}  {self.first} - {self.second}: {verdict}: " + "; ".join(parts)
 
 
-def claims(tables: Sequence[Mapping[str, Table]]) -> list[Claim]:
-    """The confirmatory family of every track that all cities have, the reference's tables first."""
+def claims(cities: Sequence[Mapping[str, Standings]]) -> list[Claim]:
+    """The confirmatory family of every track that all cities have, the reference's standings first."""
     found = []
-    for track, table in tables[0].items():
-        for comparison in table.comparisons.confirmatory:
+    for track, standings in cities[0].items():
+        for comparison in standings.comparisons.confirmatory:
             pair = (comparison.first, comparison.second)
             same = [
                 next((c for c in other[track].comparisons.confirmatory if (c.first, c.second) == pair), None)
-                for other in tables
+                for other in cities
             ]
             there = tuple(c for c in same if c is not None)
-            if len(there) == len(tables):
+            if len(there) == len(cities):
                 found.append(Claim(track, *pair, there))
     return found
 
@@ -156,11 +155,11 @@ class SecondCity:
 
     def run(self) -> int:
         """Score every city; print tau by track, every row's error, and the confirmatory family."""
-        tables = [tables_of(self.reference), *map(tables_of, self.cities)]
+        cities = [standings_of(self.reference), *map(standings_of, self.cities)]
         names_of_cities = [Path(self.reference or "mixocity").name, *(Path(city).name for city in self.cities)]
         result: dict[str, Any] = {"tau": {}, "errors": {}, "confirmatory": []}
-        for track, own in tables[0].items():
-            errors = {city: errors_of(table[track]) for city, table in zip(names_of_cities, tables, strict=True)}
+        for track, own in cities[0].items():
+            errors = {city: errors_of(here[track]) for city, here in zip(names_of_cities, cities, strict=True)}
             result["errors"][track] = errors
             for city in names_of_cities[1:]:
                 found = tau_of_lettered(errors_of(own), own.comparisons.letters, errors[city])
@@ -171,7 +170,7 @@ class SecondCity:
                     + (f"; reversed: {turned}" if turned else "")
                 )
             print(_error_table(track, errors).text())
-        for claim in claims(tables):
+        for claim in claims(cities):
             print(claim.sentence(names_of_cities))
             result["confirmatory"].append(
                 {
@@ -188,14 +187,14 @@ class SecondCity:
         return 0
 
 
-def _error_table(track: str, errors: Mapping[str, Mapping[str, float]]) -> TextTable:
+def _error_table(track: str, errors: Mapping[str, Mapping[str, float]]) -> Table:
     """Every row's headline error, best first in the reference."""
     first, *_ = errors.values()
     rows = [
         [row, *(own.get(row, float("nan")) for own in errors.values())] for row in sorted(first, key=lambda r: first[r])
     ]
     columns = (Column("policy"), *(Column(city, "deg/m", ".4f") for city in errors))
-    return TextTable(f"{track}: RTE", columns, rows)
+    return Table(f"{track}: RTE", columns, rows)
 
 
 if __name__ == "__main__":

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 
 from experiments import stored_figures as stored
 from mixo_env.errors import ConfigurationError, MixoError
-from mixo_env.leaderboard.board import Table, build
+from mixo_env.leaderboard.board import Standings, build
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.store import load_recordings
 
@@ -101,9 +101,9 @@ def choose(is_staged: Mapping[str, bool], factors: Sequence[float], draws: int, 
     return choices
 
 
-def table_scores(table: Table) -> dict[str, dict[str, float]]:
+def table_scores(standings: Standings) -> dict[str, dict[str, float]]:
     """Score -> unprivileged row -> value."""
-    rows = {row.name: row.headline for row in table.rows if not row.run.privileged}
+    rows = {row.name: row.headline for row in standings.rows if not row.run.privileged}
     return {
         "translation_percent": {name: score.translation_percent.mean for name, score in rows.items()},
         "rotation_deg_per_m": {name: score.rotation_deg_per_m.mean for name, score in rows.items()},
@@ -118,7 +118,7 @@ def leaderboard_scores(recordings: Recordings, choice: Choice) -> Scores:
     chosen = {*choice.plain, *choice.staged}
     scenes = recordings.select(scenes=[scene.name for scene in recordings.scenes if scene.name in chosen])
     board = build(scenes, policies=[name for name in names(scenes) if not kind(name, scenes).expensive])
-    return {table.track: table_scores(table) for table in board.tables}
+    return {standings.track: table_scores(standings) for standings in board.standings}
 
 
 def kept_scores(recordings: Recordings, choice: Choice, folder: Path) -> Scores:

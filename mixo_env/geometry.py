@@ -110,3 +110,29 @@ def rotation_from_yaw(yaw_rad: ArrayLike) -> FloatArray:
     c, s, zero, one = np.cos(yaw), np.sin(yaw), np.zeros_like(yaw), np.ones_like(yaw)
     rows = [[c, -s, zero], [s, c, zero], [zero, zero, one]]
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def rotation_from_roll_pitch_yaw(roll_rad: ArrayLike, pitch_rad: ArrayLike, yaw_rad: ArrayLike) -> FloatArray:
+    """Rotation matrix ``(..., 3, 3)`` R_z(yaw) R_y(pitch) R_x(roll): map from body, roll about x first."""
+    roll, pitch, yaw = (np.asarray(angle, dtype=np.float64) for angle in (roll_rad, pitch_rad, yaw_rad))
+    cr, sr, cp, sp, cy, sy = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch), np.cos(yaw), np.sin(yaw)
+    rows = [
+        [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+        [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+        [-sp, cp * sr, cp * cr],
+    ]
+    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+
+
+def quaternion_wxyz_from_roll_pitch_yaw(roll_rad: ArrayLike, pitch_rad: ArrayLike, yaw_rad: ArrayLike) -> FloatArray:
+    """Unit quaternion(s) ``(..., 4)`` of the same rotation, by the product of half angles."""
+    roll, pitch, yaw = (np.asarray(angle, dtype=np.float64) for angle in (roll_rad, pitch_rad, yaw_rad))
+    cr, sr, cp, sp = np.cos(roll / 2), np.sin(roll / 2), np.cos(pitch / 2), np.sin(pitch / 2)
+    cy, sy = np.cos(yaw / 2), np.sin(yaw / 2)
+    parts = [
+        cr * cp * cy + sr * sp * sy,
+        sr * cp * cy - cr * sp * sy,
+        cr * sp * cy + sr * cp * sy,
+        cr * cp * sy - sr * sp * cy,
+    ]
+    return np.stack(parts, axis=-1)

@@ -13,6 +13,8 @@ from mixo_env.errors import printable
 
 Cell = str | int | float | None
 
+_LEAST_NAME = 8
+"""Characters left to the names of rows, however narrow the terminal."""
 _FORMULA = tuple("=+-@＝＋－＠")
 
 
@@ -49,21 +51,32 @@ class Column:
 
 @dataclass(frozen=True)
 class Table:
-    """A caption that states the convention, columns, and rows of cells."""
+    """A caption that states the convention, columns, and rows of cells.
+
+    Attributes:
+        caption, columns, rows: what every form prints.
+        begins: numbers of the rows that begin a group; plain text leaves a line free before them.
+    """
 
     caption: str
     columns: tuple[Column, ...]
     rows: Sequence[Sequence[Cell]]
+    begins: Sequence[int] = ()
 
-    def text(self) -> str:
-        """Aligned plain text; the first column is a name, the others are numbers."""
+    def text(self, width: int = 0) -> str:
+        """Aligned plain text; the first column is a name, the others are numbers.
+
+        Args:
+            width: characters of the terminal, to which long names are wrapped; 0: as wide as it gets.
+        """
         lines = [[column.title for column in self.columns], *self._printed()]
         widths = [max(len(line[k]) for line in lines) for k in range(len(self.columns))]
-        aligned = [
-            "  ".join(cell.rjust(width) if k else cell.ljust(width) for k, (cell, width) in enumerate(pairs)).rstrip()
-            for pairs in (list(zip(line, widths, strict=True)) for line in lines)
-        ]
-        return "\n".join([textwrap.fill(self.caption, 100), aligned[0], "-" * len(aligned[0]), *aligned[1:]]) + "\n"
+        if width:
+            widths[0] = min(widths[0], max(width - sum(widths[1:]) - 2 * (len(widths) - 1), _LEAST_NAME))
+        heading, *aligned = (_aligned(line, widths) for line in lines)
+        for row in sorted(self.begins, reverse=True):
+            aligned.insert(row, "")
+        return "\n".join([textwrap.fill(self.caption, width or 100), heading, "-" * len(heading), *aligned]) + "\n"
 
     def csv(self) -> str:
         """Comma-separated values with all digits, without the caption; a missing value is empty."""
@@ -106,6 +119,13 @@ class Table:
 
     def _printed(self) -> list[list[str]]:
         return [[column.text(cell) for column, cell in zip(self.columns, row, strict=True)] for row in self.rows]
+
+
+def _aligned(cells: Sequence[str], widths: Sequence[int]) -> str:
+    """One row: the name to the left, on as many lines as it takes, the others to the right of the first of them."""
+    first, *more = textwrap.wrap(cells[0], widths[0]) or [""]
+    numbers = [cell.rjust(width) for cell, width in zip(cells[1:], widths[1:], strict=True)]
+    return "\n".join(["  ".join([first.ljust(widths[0]), *numbers]).rstrip(), *more])
 
 
 def _escape_markdown(text: str) -> str:

@@ -13,7 +13,7 @@ import simplejpeg
 from mixo_env.errors import DatasetError
 from mixo_env.experts.expert import CameraStep, State
 from mixo_env.experts.inertial import InertialEstimate
-from mixo_env.nuscenes.scene import CameraCalibration, CameraTrack, CanBus, ExactPoses, Scene, Signal
+from mixo_env.nuscenes.scene import CameraCalibration, CameraReel, CanBus, ExactPoses, Scene, Signal
 from mixo_env.nuscenes.selections import CAMERA_OFFSET_US, CAMERAS, LIDAR_PERIOD_US
 from mixo_env.recordings.steps import Experts
 from tests.nuscenes_fixture import SceneTruth
@@ -52,7 +52,7 @@ def make_scene(folder: Path, name: str = "scene-2001", log: str = "log-0", condi
         x, y, yaw = drive(stamps)
         mounting = CameraCalibration(camera, np.eye(3), np.eye(3), np.zeros(3), 16, 9)
         wrapped = np.arctan2(np.sin(yaw), np.cos(yaw))
-        cameras[camera] = CameraTrack(mounting, stamps, paths, kept % 6 == 0, x, y, wrapped)
+        cameras[camera] = CameraReel(mounting, stamps, paths, kept % 6 == 0, x, y, wrapped)
     times = np.arange(START_US - 100_000, START_US + 1_200_000, 10_000)
     wheels = Signal(times, np.full((len(times), 4), SPEED_MPS / 0.305) + 0.01 * rng.standard_normal((len(times), 4)))
     gyro = Signal(times + 3_000, YAW_RATE_RADPS + 0.01 * rng.standard_normal(len(times)))
@@ -146,14 +146,14 @@ def write_sliding_texture(root: Path, truth: dict[str, SceneTruth]) -> None:
 def with_another_future(scene: Scene, t_us: int) -> Scene:
     """The scene with every image and every CAN message after ``t_us`` changed, and the last two messages gone."""
     cameras = {}
-    for camera, track in scene.cameras.items():
-        paths = list(track.image_paths)
-        for i in np.flatnonzero(track.timestamp_us > t_us):
+    for camera, reel in scene.cameras.items():
+        paths = list(reel.image_paths)
+        for i in np.flatnonzero(reel.timestamp_us > t_us):
             picture = simplejpeg.decode_jpeg(paths[i].read_bytes(), colorspace="GRAY")
             paths[i] = paths[i].with_suffix(".other.jpg")
             flipped = np.ascontiguousarray(255 - picture[::-1])
             paths[i].write_bytes(simplejpeg.encode_jpeg(flipped, colorspace="GRAY"))
-        cameras[camera] = replace(track, image_paths=tuple(paths))
+        cameras[camera] = replace(reel, image_paths=tuple(paths))
     assert scene.can_bus is not None
     can_bus = CanBus(*(_with_another_future(getattr(scene.can_bus, field.name), t_us) for field in fields(CanBus)))
     return replace(scene, cameras=cameras, can_bus=can_bus)

@@ -21,7 +21,7 @@ def board() -> Leaderboard:
 @pytest.mark.parametrize("track", TRACKS)
 @pytest.mark.parametrize("truth", ["exact", "truth", "written"])
 def test_the_oracle_beats_every_row_on_the_truth_that_chose_it(board: Leaderboard, track: str, truth: str) -> None:
-    (table,) = (table for table in board.tables if table.track == track)
+    (table,) = (table for table in board.standings if table.track == track)
     scores = {row.name: row.scores[truth] for row in table.rows}
     oracle = scores.pop("MULTICAMERA GT")
     assert set(scores) == set(VOTING)
@@ -31,7 +31,7 @@ def test_the_oracle_beats_every_row_on_the_truth_that_chose_it(board: Leaderboar
 
 def test_constant_weights_favour_no_camera_for_firing_last(board: Leaderboard) -> None:
     """Carried by a filtered gyro, LINEAR gave CAM_BACK, which fires last, .74; FRONT and BACK are equally good."""
-    (table,) = (table for table in board.tables if table.track == "VISION")
+    (table,) = (table for table in board.standings if table.track == "VISION")
     for weights in table.linear_weights().values():
         assert weights["CAM_FRONT"] > 0.25
         assert weights["CAM_BACK"] < 0.65

@@ -47,6 +47,21 @@ def test_names_from_data_act_on_no_terminal():
         assert "a\nb" not in text
 
 
+def test_long_names_wrap_to_the_terminal_and_groups_stand_apart():
+    table = Table("A caption", (Column("name"), Column("n")), [["one long name of a row", 1], ["b", 22]], begins=(1,))
+    assert table.text(14).splitlines() == [
+        "A caption",
+        "name         n",
+        "-" * 14,
+        "one long     1",
+        "name of a",
+        "row",
+        "",
+        "b           22",
+    ]
+    assert table.text().splitlines()[3:] == ["one long name of a row   1", "", "b                       22"]
+
+
 def test_markdown_and_latex_escape_their_own_signs():
     assert r"| a\|b_c | 1.23 | 3 |" in TABLE.markdown()
     latex = TABLE.latex()

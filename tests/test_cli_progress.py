@@ -52,7 +52,7 @@ def test_an_interruption_says_what_is_kept(
         "Simulate": ["simulate", "city"],
         "Inspect": ["inspect", "root"],
         "Record": ["record", "root", "--out", "out"],
-        "Import": ["import", "rec", "--expert", "ORB", "--trajectories", "t", "--out", "out"],
+        "Import": ["import", "rec", "--expert", "ORB=t", "--out", "out"],
         "Export": ["export", "mixocity", "--out", "out"],
         "Evaluate": ["evaluate", "--groundtruth", "a", "--estimate", "b"],
         "TrainVocabulary": ["train-vocabulary", "root", "--out", "out"],

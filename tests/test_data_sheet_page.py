@@ -47,7 +47,7 @@ def city(tmp_path_factory: pytest.TempPathFactory) -> City:
     texture = cv2.resize(rough, (1600, 180), interpolation=cv2.INTER_CUBIC)
     for _, plan in found.scenes():
         for channel in CAMERAS:
-            for number, path in enumerate(found.dataset.track(plan.name, channel).image_paths):
+            for number, path in enumerate(found.dataset.reel(plan.name, channel).image_paths):
                 path.parent.mkdir(parents=True, exist_ok=True)
                 cv2.imwrite(str(path), texture[:, 4 * number : 4 * number + 320])
     return found

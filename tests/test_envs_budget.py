@@ -18,7 +18,7 @@ from mixo_env.errors import ConfigurationError, RecordingError
 from mixo_env.experts.expert import State
 from mixo_env.experts.inertial import InertialOdometry
 from mixo_env.experts.monocular.odometry import MonocularOdometry
-from mixo_env.nuscenes.scene import CameraTrack, CanBus, Scene, Signal
+from mixo_env.nuscenes.scene import CameraReel, CanBus, Scene, Signal
 from mixo_env.nuscenes.selections import CAMERA_OFFSET_US
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.schema import INERTIAL_EXPERTS, Manifest, SceneEntry
@@ -111,7 +111,7 @@ def drive_in_the_corridor(folder: Path) -> Scene:
         yaw = -0.1 + 0.15 * t
         return 40.0 * (np.sin(yaw) - np.sin(-0.1)), -40.0 * (np.cos(yaw) - np.cos(-0.1)), yaw
 
-    tracks = {}
+    reels = {}
     for camera, mounting in CAMERAS.items():
         stamps = START_US + np.arange(ROUNDS) * 100_000 + CAMERA_OFFSET_US[camera]
         mounted = calibration(mounting, channel=camera)
@@ -120,12 +120,12 @@ def drive_in_the_corridor(folder: Path) -> Scene:
         for k, path in enumerate(paths):
             grey = picture(mounted, x[k], y[k], yaw[k], noise_seed=k)
             path.write_bytes(simplejpeg.encode_jpeg(grey[..., None], colorspace="GRAY", quality=95))
-        tracks[camera] = CameraTrack(mounted, stamps, paths, np.zeros(ROUNDS, bool), x, y, yaw)
+        reels[camera] = CameraReel(mounted, stamps, paths, np.zeros(ROUNDS, bool), x, y, yaw)
     times = np.arange(START_US - 200_000, START_US + 1_800_000, 20_000)
     wheels = Signal(times, np.full((len(times), 4), 6.0 / 0.305))
     gyro = Signal(times, np.full(len(times), 0.15))
     bus = CanBus(wheels, gyro, consumer_yaw_rate_radps=gyro)
-    return Scene("scene-2001", "", "log-0", "n099", "corridor", ("day",), tracks, bus)
+    return Scene("scene-2001", "", "log-0", "n099", "corridor", ("day",), reels, bus)
 
 
 def recorded(scene: Scene) -> Recordings:
@@ -142,20 +142,20 @@ def test_replay_equals_a_scene_recorded_with_cameras_really_switched(tmp_path: P
     switched = [camera for camera in CAMERAS if camera != closing]
     on = np.random.default_rng(4).uniform(size=(ROUNDS, len(switched))) < 0.6
     on[:2] = True
-    tracks = dict(scene.cameras)
+    reels = dict(scene.cameras)
     for c, camera in enumerate(switched):
-        track = tracks[camera]
+        reel = reels[camera]
         kept = np.flatnonzero(on[:, c])
-        tracks[camera] = replace(
-            track,
-            timestamp_us=track.timestamp_us[kept],
-            image_paths=tuple(track.image_paths[k] for k in kept),
-            is_keyframe=track.is_keyframe[kept],
-            x_m=track.x_m[kept],
-            y_m=track.y_m[kept],
-            yaw_rad=track.yaw_rad[kept],
+        reels[camera] = replace(
+            reel,
+            timestamp_us=reel.timestamp_us[kept],
+            image_paths=tuple(reel.image_paths[k] for k in kept),
+            is_keyframe=reel.is_keyframe[kept],
+            x_m=reel.x_m[kept],
+            y_m=reel.y_m[kept],
+            yaw_rad=reel.yaw_rad[kept],
         )
-    truly = recorded(replace(scene, cameras=tracks)).rows(0)
+    truly = recorded(replace(scene, cameras=reels)).rows(0)
     everything = recorded(scene)
     replay = BudgetReplay(everything, track="CONSUMER")
     replay.reset([0])

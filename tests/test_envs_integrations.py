@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shlex
 import subprocess
 import sys
@@ -17,6 +18,7 @@ from gymnasium.wrappers import vector as vector_wrappers
 import mixo_env
 from mixo_env.envs.wrappers import Standardise, standardise, transformed
 from mixo_env.errors import ConfigurationError, PolicyError
+from mixo_env.recordings.store import load_recordings
 from tests.synthetic import synthetic_recordings
 
 RECORDINGS = synthetic_recordings(scenes=6, steps=25)
@@ -213,6 +215,18 @@ def test_minari_export(env_id: str, observation: str, tmp_path: Path, monkeypatc
     assert dataset.recover_environment().spec.id == env_id
     episode = next(iter(dataset))
     assert episode.truncations[-1]
+
+
+@pytest.mark.integration
+def test_the_example_writes_episodes_of_linear(tmp_path: Path) -> None:
+    pytest.importorskip("minari")
+    pytest.importorskip("h5py")
+    script = [sys.executable, str(ROOT / "examples" / "minari_episodes.py")]
+    place = os.environ | {"MINARI_DATASETS_PATH": str(tmp_path)}
+    done = subprocess.run(script, cwd=tmp_path, env=place, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    scenes = load_recordings().select(split="train").scenes
+    assert f"{len(scenes)} episodes, {sum(scene.rows - 1 for scene in scenes)} steps" in done.stdout
 
 
 @pytest.mark.integration

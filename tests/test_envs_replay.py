@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import gymnasium as gym
 import numpy as np
 import pytest
 
@@ -108,3 +109,12 @@ def test_without_any_vote_the_inertial_increment_bridges() -> None:
 def test_unknown_options_name_the_nearest(option: dict[str, object]) -> None:
     with pytest.raises(ConfigurationError, match="did you mean"):
         Replay(RECORDINGS, track="PAPER", **option)  # type: ignore[arg-type]
+
+
+def test_trajectories_that_were_not_kept_are_refused_in_words() -> None:
+    env = gym.make("MixoOdometry-v0", recordings=synthetic_recordings(scenes=2))
+    env.reset(seed=0)
+    for _ in range(3):
+        env.step(np.zeros(env.action_space.shape or (), np.float32))
+    with pytest.raises(ConfigurationError, match="render_mode='rgb_array'"):
+        env.unwrapped.session.replay.trajectory(0)  # type: ignore[attr-defined]

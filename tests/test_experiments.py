@@ -14,7 +14,7 @@ from mixo_env.experts.expert import State
 from mixo_env.fusion import dead_reckon
 from mixo_env.leaderboard.board import build, choose
 from mixo_env.leaderboard.crossvalidation import CrossValidation
-from mixo_env.leaderboard.evaluation import FLOORS, Course, lost_tracks, poses, rollout
+from mixo_env.leaderboard.evaluation import FLOORS, Truth, lost_tracks, poses, rollout
 from mixo_env.policies.fitting import prepare
 from mixo_env.policies.gate import Mixo
 from mixo_env.policies.playing import play
@@ -59,23 +59,23 @@ def test_single_expert_is_reproduced_bit_for_bit(recordings: Recordings) -> None
         for j, expert in enumerate(recordings.voters(track)):
             policy = Single(expert)
             prepare(policy, ELSEWHERE, track)
-            motion = rollout(policy, recordings, track)
-            np.testing.assert_array_equal(motion.yaw_increment_rad, votes[:, j], err_msg=expert)
+            travel = rollout(policy, recordings, track)
+            np.testing.assert_array_equal(travel.yaw_increment_rad, votes[:, j], err_msg=expert)
 
 
 def test_reference_expert_is_itself_where_it_does_not_vote(recordings: Recordings) -> None:
     policy = Single("INERTIAL")
     prepare(policy, ELSEWHERE, "CONSUMER")
-    motion = rollout(policy, recordings, "CONSUMER")
-    np.testing.assert_array_equal(motion.yaw_increment_rad, recordings["INERTIAL.yaw_increment_rad"].astype(np.float64))
+    travel = rollout(policy, recordings, "CONSUMER")
+    np.testing.assert_array_equal(travel.yaw_increment_rad, recordings["INERTIAL.yaw_increment_rad"].astype(np.float64))
 
 
 @pytest.mark.parametrize("name", ["LINEAR", "MEDIAN", "ORACLE HULL"])
 def test_rollout_ends_where_the_replay_ends(recordings: Recordings, name: str) -> None:
     policy = create(name, recordings)
     prepare(policy, ELSEWHERE, "CONSUMER")
-    motion = rollout(policy, recordings, "CONSUMER", privileged=policy.privileged)
-    estimate = poses(motion, Course(recordings).poses, recordings.offsets)
+    travel = rollout(policy, recordings, "CONSUMER", privileged=policy.privileged)
+    estimate = poses(travel, Truth(recordings).poses, recordings.offsets)
     replay = Replay(recordings, track="CONSUMER", privileged=policy.privileged)
     for _ in play(policy, replay):
         pass
@@ -97,27 +97,27 @@ def test_batch_of_scenes_equals_each_scene_alone(recordings: Recordings) -> None
 
 
 def test_floors_hold_the_true_yaw_and_the_stated_distance(recordings: Recordings) -> None:
-    course = Course(recordings)
-    wheels, true, _ = (course.measure(FLOORS[name](recordings)) for name in FLOORS)
+    truth = Truth(recordings)
+    wheels, true, _ = (truth.measure(FLOORS[name](recordings)) for name in FLOORS)
     np.testing.assert_allclose(wheels.absolute.rotation_deg, 0.0, atol=1e-9)
     assert (wheels.absolute.translation_m > 0.05).all()  # wheels 1 % too long, travelling askew
     assert (true.absolute.translation_m < wheels.absolute.translation_m).all()
     straight = Recordings(
         replace(recordings.manifest, vehicles={}), {c: recordings[c] for c in recordings.column_names}
     )
-    perfect = Course(straight).measure(FLOORS["PERFECT YAW + TRUE DISTANCE"](straight))
+    perfect = Truth(straight).measure(FLOORS["PERFECT YAW + TRUE DISTANCE"](straight))
     np.testing.assert_allclose(perfect.absolute.translation_m, 0.0, atol=1e-6)
 
 
 def test_measures_agree_with_plain_loops(recordings: Recordings) -> None:
     policy = create("MEAN", recordings)
     prepare(policy, ELSEWHERE, "VISION")
-    motion = rollout(policy, recordings, "VISION")
-    errors = Course(recordings).measure(motion)
+    travel = rollout(policy, recordings, "VISION")
+    errors = Truth(recordings).measure(travel)
     rows = recordings.rows(2)
     steps = slice(recordings.offsets[2] + 1, recordings.offsets[3])
     x, y, yaw = dead_reckon(
-        motion.yaw_increment_rad[steps],
+        travel.yaw_increment_rad[steps],
         rows["distance_m"][1:].astype(np.float64) * 1.01,
         start=(rows["truth.x_m"][0], rows["truth.y_m"][0], rows["truth.yaw_rad"][0]),
         course_offset_rad=-0.007,
@@ -128,7 +128,7 @@ def test_measures_agree_with_plain_loops(recordings: Recordings) -> None:
     assert errors.absolute.translation_m[2] == pytest.approx(np.sqrt(np.mean(squared)))
     degrees = np.degrees(yaw - rows["truth.yaw_rad"])
     assert errors.absolute.rotation_deg[2] == pytest.approx(np.sqrt(np.mean(degrees**2)))
-    step_error = np.degrees(motion.yaw_increment_rad[steps] - rows["truth.yaw_increment_rad"][1:])
+    step_error = np.degrees(travel.yaw_increment_rad[steps] - rows["truth.yaw_increment_rad"][1:])
     assert errors.squared_yaw_increment_deg2[2] == pytest.approx(np.sum(step_error**2), rel=1e-6)
     assert errors.steps[2] == len(step_error)
 
@@ -139,9 +139,9 @@ def test_exact_truth_starts_from_its_own_first_pose(recordings: Recordings) -> N
 
     policy = create("MEAN", recordings)
     prepare(policy, ELSEWHERE, "PAPER")
-    motion = rollout(policy, recordings, "PAPER")
-    written = Course(recordings).measure(motion).absolute.translation_m
-    exact = Course(changed(recordings, moved), "exact").measure(motion).absolute.translation_m
+    travel = rollout(policy, recordings, "PAPER")
+    written = Truth(recordings).measure(travel).absolute.translation_m
+    exact = Truth(changed(recordings, moved), "exact").measure(travel).absolute.translation_m
     np.testing.assert_allclose(exact, written, atol=1e-9)
 
 
@@ -174,7 +174,7 @@ def test_truth_of_the_tested_scenes_never_reaches_a_policy(
         CrossValidation(data, bundled=never).run(name, "PAPER", folds=[fold])
         for data in (recordings, changed(recordings, shifted))
     ]
-    before, after = (run.motion.yaw_increment_rad[held_out] for run in runs)
+    before, after = (run.travel.yaw_increment_rad[held_out] for run in runs)
     np.testing.assert_array_equal(before, after)
     assert np.isfinite(before).sum() > 100
 
@@ -246,7 +246,7 @@ def test_imported_expert_votes_and_has_a_row_of_its_own(recordings: Recordings) 
     columns["DROID.state"] = np.where(np.isfinite(columns["DROID.yaw_increment_rad"]), State.TRACKING, State.LOST)
     more = Recordings(replace(recordings.manifest, imported=("DROID",)), columns)
     board = build(more, tracks=("PAPER",), policies=("DROID", "LINEAR", "MEDIAN", "HIGHEST MATCH"))
-    (table,) = board.tables
+    (table,) = board.standings
     assert [row.run.name for row in table.rows] == ["DROID", "HIGHEST MATCH", "MEDIAN", "LINEAR"]
     assert table.rows[0].lost is not None
     assert list(table.linear_weights()[0]) == [*recordings.manifest.cameras, "DROID", "INERTIAL_POSE"]

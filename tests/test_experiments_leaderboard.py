@@ -36,17 +36,17 @@ def board(recordings: Recordings) -> Leaderboard:
 
 
 def test_every_track_has_its_own_table_in_the_order_of_the_registry(board: Leaderboard) -> None:
-    assert [table.track for table in board.tables] == ["VISION", "CONSUMER"]
-    for table in board.tables:
+    assert [table.track for table in board.standings] == ["VISION", "CONSUMER"]
+    for table in board.standings:
         assert [row.run.name for row in table.rows] == list(ROWS)
         assert [row.run.name for row in table.rows if row.run.privileged] == ["ORACLE ALL", "PERFECT YAW"]
-    vision, consumer = board.tables
+    vision, consumer = board.standings
     assert [row.run.name for row in vision.rows if not row.votes] == ["INERTIAL", "INERTIAL_CONSUMER"]
     assert [row.run.name for row in consumer.rows if not row.votes] == ["INERTIAL"]
 
 
 def test_pooled_score_is_the_mean_of_all_samples_and_lies_in_its_interval(board: Leaderboard) -> None:
-    for row in itertools.chain.from_iterable(table.rows for table in board.tables):
+    for row in itertools.chain.from_iterable(table.rows for table in board.standings):
         score, samples = row.scores["truth"], row.errors["truth"].relative
         assert score.translation_percent.mean == pytest.approx(np.mean(samples.translation_percent))
         assert score.translation_percent.low <= score.translation_percent.mean <= score.translation_percent.high
@@ -101,8 +101,8 @@ def test_lost_tracks_are_spread_over_the_tested_scenes() -> None:
 
 def test_scene_lines_average_to_the_table(board: Leaderboard) -> None:
     lines = list(csv.DictReader(io.StringIO(exports.to_csv(board))))
-    assert len(lines) == 2 * len(ROWS) * len(board.courses) * len(board.recordings)
-    for row in board.tables[0].rows:
+    assert len(lines) == 2 * len(ROWS) * len(board.truths) * len(board.recordings)
+    for row in board.standings[0].rows:
         mine = [x for x in lines if (x["track"], x["policy"], x["truth"]) == ("VISION", row.run.name, "truth")]
         score = row.scores["truth"]
         assert math.fsum(float(x["ate_m"]) for x in mine) / len(mine) == pytest.approx(score.ate_m)
@@ -116,7 +116,7 @@ def test_policies_tested_on_one_fold_are_compared_on_that_fold_alone(
 ) -> None:
     monkeypatch.setattr(Huber, "expensive", True)
     board = build(recordings, policies=("MEDIAN", "LINEAR", "HUBER"), tracks=("VISION",))
-    (table,) = board.tables
+    (table,) = board.standings
     assert [row.run.name for row in table.rows] == ["MEDIAN", "LINEAR"]
     assert [row.run.name for row in table.one_fold_rows] == ["LINEAR", "HUBER"]
     assert table.one_fold == 3
@@ -140,7 +140,7 @@ def test_unfit_policies_are_left_out_with_a_reason_unless_asked_for(
     with pytest.raises(PolicyError, match="nothing to learn from"):
         build(none(), policies=("LINEAR",), tracks=("VISION",))
     board = build(none(), tracks=("VISION",))
-    assert set(board.tables[0].left_out) == {"LINEAR", "HUBER", "MIXO", "PPO"}
+    assert set(board.standings[0].left_out) == {"LINEAR", "HUBER", "MIXO", "PPO"}
     assert "LINEAR left out: nothing to learn from." in report.to_markdown(board)
 
 

@@ -241,6 +241,6 @@ def test_a_fault_is_one_line_and_nothing_is_overwritten(damaged, capsys):
     assert any(word in str(caught.value) for word in ("not overwritten", "put that back"))
     assert str(caught.value).isprintable()
     assert content(damaged) == before
-    assert main(["import", str(damaged), "--expert", "X", "--trajectories", "none", "--out", str(damaged)]) == 1
+    assert main(["import", str(damaged), "--expert", "X=none", "--out", str(damaged)]) == 1
     assert capsys.readouterr().err.count("\n") == 1
     assert content(damaged) == before

@@ -60,3 +60,13 @@ def test_shapes_broadcast(shape: tuple[int, ...]) -> None:
     assert geometry.quaternion_wxyz_from_yaw(yaw).shape == (*shape, 4)
     assert geometry.rotation_from_yaw(yaw).shape == (*shape, 3, 3)
     assert geometry.yaw_from_quaternion_wxyz(geometry.quaternion_wxyz_from_yaw(yaw)).shape == shape
+
+
+@given(*[st.floats(-3.0, 3.0)] * 3)
+def test_roll_pitch_and_yaw_match_scipy(roll: float, pitch: float, yaw: float) -> None:
+    expected = Rotation.from_euler("ZYX", [yaw, pitch, roll])
+    np.testing.assert_allclose(
+        geometry.rotation_from_roll_pitch_yaw(roll, pitch, yaw), expected.as_matrix(), atol=1e-12
+    )
+    quaternion = geometry.quaternion_wxyz_from_roll_pitch_yaw(roll, pitch, yaw)
+    np.testing.assert_allclose(geometry.rotation_from_quaternion_wxyz(quaternion), expected.as_matrix(), atol=1e-12)

@@ -9,8 +9,9 @@ import pytest
 
 from mixo_env.leaderboard.comparisons import CONFIRMATORY, compare_rows, detectable
 from mixo_env.leaderboard.letters import letters
-from mixo_env.metrics.bootstrap import holm, interval_over_groups, paired_difference
+from mixo_env.metrics.bootstrap import holm, interval_over_groups
 from mixo_env.metrics.signflips import EXACT_GROUPS, sign_flip_p_values
+from tests.paired import paired_difference
 
 
 def test_sign_flips_of_three_groups_by_hand() -> None:

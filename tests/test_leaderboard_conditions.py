@@ -12,7 +12,7 @@ from mixo_env.leaderboard import exports, report
 from mixo_env.leaderboard.board import Leaderboard, build
 from mixo_env.leaderboard.conditions import check_grouping, condition_of, members
 from mixo_env.leaderboard.crossvalidation import CrossValidation
-from mixo_env.leaderboard.evaluation import Course, mean_errors
+from mixo_env.leaderboard.evaluation import Truth, mean_errors
 from mixo_env.leaderboard.firing_order import best_shares, firing_order, weights_of_one
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.schema import TRACKS
@@ -60,26 +60,26 @@ def without_exact(recordings: Recordings) -> Recordings:
 
 def test_the_exact_truth_leads_where_it_exists(recordings: Recordings, board: Leaderboard) -> None:
     assert (truths_of(recordings)[0], board.headline, board.noise_floor) == ("exact", "exact", 0.0)
-    for row in board.tables[0].rows:
+    for row in board.standings[0].rows:
         assert row.headline is row.scores["exact"]
     assert truths_of(without_exact(recordings))[0] == "truth"
 
 
 def test_oracles_choose_by_the_truth_that_scores_them(board: Leaderboard) -> None:
     """On exact picks by exact truth the oracle wins; on the picks of the noisy truth it would not."""
-    for table in board.tables:
+    for table in board.standings:
         rows = {row.name: row for row in table.rows}
         for name in ORACLES:
-            exact, noisy = (rows[name].run.motions[truth][0].yaw_increment_rad for truth in ("exact", "truth"))
+            exact, noisy = (rows[name].run.travels[truth][0].yaw_increment_rad for truth in ("exact", "truth"))
             assert not np.array_equal(exact, noisy)
-        crossed = board.courses["exact"].measure(rows["MULTICAMERA GT"].run.motions["truth"][0])
+        crossed = board.truths["exact"].measure(rows["MULTICAMERA GT"].run.travels["truth"][0])
         own = rows["MULTICAMERA GT"].headline.rotation_deg_per_m.mean
         assert own < 0.7 * crossed.relative.rotation_deg_per_m.mean()
 
 
 @pytest.mark.parametrize("truth", ["exact", "truth"])
 def test_multicamera_gt_beats_every_row_without_a_dagger(board: Leaderboard, truth: str) -> None:
-    for table in board.tables:
+    for table in board.standings:
         scores = {row.name: row.scores[truth].yaw_increment_rmse_deg for row in table.rows}
         cameras = {r.name for r in table.rows if not r.run.privileged and r.votes and not r.name.startswith("INERTIAL")}
         assert all(scores["ORACLE HULL"] < scores[name] for name in cameras)
@@ -87,7 +87,7 @@ def test_multicamera_gt_beats_every_row_without_a_dagger(board: Leaderboard, tru
 
 
 def test_floors_are_perfect_by_each_truth(board: Leaderboard) -> None:
-    floor = next(row for row in board.tables[0].rows if row.name == "PERFECT YAW")
+    floor = next(row for row in board.standings[0].rows if row.name == "PERFECT YAW")
     for score in floor.scores.values():
         assert score.ate_deg == pytest.approx(0.0, abs=1e-9)
 
@@ -111,7 +111,7 @@ def test_another_truth_has_increments_and_chords_of_its_own(recordings: Recordin
 
 
 def test_conditions_divide_the_scenes_and_their_samples(recordings: Recordings, board: Leaderboard) -> None:
-    for table in board.tables:
+    for table in board.standings:
         for by in ("condition", "situation"):
             groups = [group for group in table.groups if group.by == by]
             assert len(groups) == 2
@@ -143,7 +143,7 @@ def test_night_is_a_table_of_its_own_by_policies_of_all_folds(recordings: Record
     night = board.night
     assert night is not None
     assert [scene.name for scene in night.recordings.scenes] == ["scene-2008", "scene-2016"]
-    assert [row.name for row in night.tables[0].rows] == [row.name for row in board.tables[0].rows]
+    assert [row.name for row in night.standings[0].rows] == [row.name for row in board.standings[0].rows]
     protocol = CrossValidation(recordings, out_of_distribution=True)
     assert len(protocol.training(-1)) == 14
     assert all(scene.fold >= 0 for scene in protocol.training(-1).scenes)
@@ -166,17 +166,17 @@ def test_groups_are_in_the_json_and_on_request_in_the_tables(board: Leaderboard)
 
 
 def test_rows_are_sorted_within_their_sections(board: Leaderboard) -> None:
-    for section in report.sections(board.tables[0].rows, "deg/m"):
+    for section in report.sections(board.standings[0].rows, "deg/m"):
         values = [row.headline.rotation_deg_per_m.mean for row in section]
         assert values == sorted(values)
     for order in ("%", "ate-m", "ate-deg", "yaw", "written"):
-        sections = report.sections(board.tables[0].rows, order)
-        assert sum(map(len, sections)) == len(board.tables[0].rows)
+        sections = report.sections(board.standings[0].rows, order)
+        assert sum(map(len, sections)) == len(board.standings[0].rows)
         assert not any(row.run.privileged for row in sections[0])
 
 
 def test_every_row_prints_its_differences(board: Leaderboard) -> None:
-    table = board.tables[0]
+    table = board.standings[0]
     for row in table.rows:
         line = report.cells(row, table.comparisons)
         if row.run.privileged or row.name == "LINEAR":
@@ -199,16 +199,16 @@ def test_a_row_of_several_seeds_is_the_mean_of_their_errors(
 
     monkeypatch.setattr(Mixo.__init__, "__kwdefaults__", Mixo.__init__.__kwdefaults__ | {"min_updates": 20})
     board = build(recordings, tracks=("VISION",), policies=("MIXO",), seeds=2)
-    (row,) = board.tables[0].rows
-    one, other = row.run.motions["exact"]
+    (row,) = board.standings[0].rows
+    one, other = row.run.travels["exact"]
     assert not np.array_equal(one.yaw_increment_rad, other.yaw_increment_rad)
-    errors = [board.courses["exact"].measure(motion) for motion in (one, other)]
+    errors = [board.truths["exact"].measure(travel) for travel in (one, other)]
     means = [error.relative.rotation_deg_per_m.mean() for error in errors]
     assert row.headline.rotation_deg_per_m.mean == pytest.approx(np.mean(means))
     assert row.headline.rotation_deg_per_m.mean > min(means)
     assert row.headline.ate_deg == pytest.approx(np.mean([error.absolute.rotation_deg.mean() for error in errors]))
-    alone = build(recordings, tracks=("VISION",), policies=("MIXO",)).tables[0].rows[0]
-    np.testing.assert_array_equal(alone.run.motion.yaw_increment_rad, one.yaw_increment_rad)
+    alone = build(recordings, tracks=("VISION",), policies=("MIXO",)).standings[0].rows[0]
+    np.testing.assert_array_equal(alone.run.travel.yaw_increment_rad, one.yaw_increment_rad)
     assert mean_errors(errors[:1]) is errors[0]
 
 
@@ -224,12 +224,12 @@ def test_real_data_has_a_noise_floor_and_no_letter_below_it(recordings: Recordin
     real = without_exact(recordings)
     board = build(real, tracks=("VISION",), policies=("CAM_FRONT", "CAM_BACK_RIGHT", "NOISE FLOOR"))
     assert board.headline == "truth"
-    rows = {row.name: row for row in board.tables[0].rows}
+    rows = {row.name: row for row in board.standings[0].rows}
     floor = rows["NOISE FLOOR"]
     assert floor.run.privileged
     assert floor.headline.rotation_deg_per_m.mean == pytest.approx(board.noise_floor)
     below = {name for name, row in rows.items() if row.headline.rotation_deg_per_m.mean < board.noise_floor}
-    lettered = set(board.tables[0].comparisons.letters)
+    lettered = set(board.standings[0].comparisons.letters)
     assert lettered == {"CAM_FRONT", "CAM_BACK_RIGHT"} - below
     assert "Noise floor of the truth" in report.to_markdown(board)
 
@@ -239,7 +239,7 @@ def test_a_row_that_is_exact_scores_about_the_noise_floor(recordings: Recordings
         columns={"INERTIAL.yaw_increment_rad": with_truth(recordings, "exact")["truth.yaw_increment_rad"]}
     )
     board = build(quiet, tracks=("VISION",), policies=("INERTIAL",))
-    exact = board.tables[0].rows[0].headline.rotation_deg_per_m.mean
+    exact = board.standings[0].rows[0].headline.rotation_deg_per_m.mean
     assert exact == pytest.approx(board.noise_floor, rel=0.1)
 
 
@@ -265,5 +265,5 @@ def test_weights_of_sum_one_by_hand() -> None:
 
 
 def test_courses_of_both_truths_begin_at_their_own_first_pose(recordings: Recordings) -> None:
-    course = Course(recordings, "exact")
-    assert course.poses.yaw_rad[0] == recordings["exact.yaw_rad"][0]
+    truth = Truth(recordings, "exact")
+    assert truth.poses.yaw_rad[0] == recordings["exact.yaw_rad"][0]

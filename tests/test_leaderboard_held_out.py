@@ -7,7 +7,7 @@ import pytest
 
 from mixo_env.errors import ConfigurationError
 from mixo_env.leaderboard.crossvalidation import CrossValidation
-from mixo_env.leaderboard.evaluation import Course, rollout
+from mixo_env.leaderboard.evaluation import Truth, rollout
 from mixo_env.leaderboard.held_out import hold_out, table_of
 from mixo_env.leaderboard.rows import Scorer
 from mixo_env.policies.fitting import prepare
@@ -23,16 +23,16 @@ def test_a_held_out_row_is_the_leaderboards() -> None:
     training, test = hold_out(RECORDINGS, FOLD)
     linear = Linear()
     prepare(linear, training, "VISION")
-    motion = rollout(linear, test, "VISION")
+    travel = rollout(linear, test, "VISION")
 
     division = CrossValidation(RECORDINGS)
     run = division.run("LINEAR", "VISION", folds=[FOLD])
     here = np.repeat(run.tested, np.diff(division.recordings.offsets))
-    np.testing.assert_array_equal(motion.yaw_increment_rad, run.motion.yaw_increment_rad[here])
-    np.testing.assert_array_equal(motion.distance_m, run.motion.distance_m[here])
-    score = Scorer(division.recordings, {"exact": Course(division.recordings, "exact")}, 0.0, 0).row("VISION", run)
+    np.testing.assert_array_equal(travel.yaw_increment_rad, run.travel.yaw_increment_rad[here])
+    np.testing.assert_array_equal(travel.distance_m, run.travel.distance_m[here])
+    score = Scorer(division.recordings, {"exact": Truth(division.recordings, "exact")}, 0.0, 0).row("VISION", run)
     value = score.headline.rotation_deg_per_m
-    text = table_of(test, "VISION", {linear: motion})
+    text = table_of(test, "VISION", {linear: travel})
     assert f"LINEAR  {value.mean:.4f} [{value.low:.4f}, {value.high:.4f}]" in text
 
 
@@ -44,9 +44,9 @@ def test_an_oracle_chooses_by_the_truth_that_scores_it() -> None:
     scenes = {scene.name for scene in test.scenes}
     tested = np.array([scene.name in scenes for scene in RECORDINGS.scenes])
     here = np.repeat(tested, np.diff(RECORDINGS.offsets))
-    motion = rollout(oracle, test, "VISION", privileged=True)
-    np.testing.assert_array_equal(motion.yaw_increment_rad, run.motions["exact"][0].yaw_increment_rad[here])
-    assert "ORACLE ALL †" in table_of(test, "VISION", {oracle: motion})
+    travel = rollout(oracle, test, "VISION", privileged=True)
+    np.testing.assert_array_equal(travel.yaw_increment_rad, run.travels["exact"][0].yaw_increment_rad[here])
+    assert "ORACLE ALL †" in table_of(test, "VISION", {oracle: travel})
 
 
 def test_training_and_test_share_no_drive() -> None:

@@ -139,8 +139,8 @@ def test_every_terminal_shows_intervals_letters_and_the_difference(
     header = next(line for line in lines if line.strip().startswith("policy"))
     assert all(column in header for column in report.LEAST_COLUMNS)
     row = next(line for line in lines if line.strip().startswith("CAM_BACK_RIGHT"))
-    comparisons = board.tables[0].comparisons
-    text = report.cells(next(r for r in board.tables[0].rows if r.name == "CAM_BACK_RIGHT"), comparisons)
+    comparisons = board.standings[0].comparisons
+    text = report.cells(next(r for r in board.standings[0].rows if r.name == "CAM_BACK_RIGHT"), comparisons)
     assert "[" in text["RTE deg/m"]
     assert all(text[column] in row for column in report.LEAST_COLUMNS)
     assert ("For want of width without" in "\n".join(lines)) == (report.WRITTEN_COLUMN not in header)

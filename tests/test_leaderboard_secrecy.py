@@ -53,7 +53,7 @@ def with_other_truth(recordings: Recordings, fold: int) -> Recordings:
 def run(monkeypatch: pytest.MonkeyPatch, cheat: type[Policy], recordings: Recordings, **options: Any) -> np.ndarray:
     """Yaw increments of a policy of one's own through the protocol."""
     monkeypatch.setitem(registry.POLICIES, cheat.name, cheat)
-    return CrossValidation(recordings, bundled=never).run(cheat.name, TRACK, **options).motion.yaw_increment_rad
+    return CrossValidation(recordings, bundled=never).run(cheat.name, TRACK, **options).travel.yaw_increment_rad
 
 
 class Equal(Policy):
@@ -179,10 +179,10 @@ def test_writing_on_what_is_given_changes_nothing(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setitem(registry.POLICIES, Vandal.name, Vandal)
     monkeypatch.setitem(registry.POLICIES, Equal.name, Equal)
     protocol = CrossValidation(recordings, bundled=never)
-    before = protocol.run("LINEAR", TRACK).motion.yaw_increment_rad
-    vandal, equal = (protocol.run(name, TRACK).motion.yaw_increment_rad for name in ("VANDAL", "EQUAL"))
+    before = protocol.run("LINEAR", TRACK).travel.yaw_increment_rad
+    vandal, equal = (protocol.run(name, TRACK).travel.yaw_increment_rad for name in ("VANDAL", "EQUAL"))
     np.testing.assert_array_equal(vandal, equal)
-    np.testing.assert_array_equal(protocol.run("LINEAR", TRACK).motion.yaw_increment_rad, before)
+    np.testing.assert_array_equal(protocol.run("LINEAR", TRACK).travel.yaw_increment_rad, before)
 
 
 class TwoFaced(Equal):

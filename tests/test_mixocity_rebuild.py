@@ -12,7 +12,7 @@ import simplejpeg
 
 from experiments.mixocity import CONFIG, DATA_VERSION
 from mixo_env.files import write_bytes
-from mixo_env.nuscenes.scene import CameraTrack
+from mixo_env.nuscenes.scene import CameraReel
 from mixo_env.nuscenes.tables import open_dataset
 from mixo_env.recordings.record import RecordConfig, default_experts
 from mixo_env.recordings.steps import record_scene
@@ -24,11 +24,11 @@ from mixo_env.simulator.drive.scenes import pictures, simulate_scene
 SCENE, CAMERA, IMAGES = "scene-2006", "CAM_FRONT", 120
 
 
-def first_images(track: CameraTrack, start_us: int, stop: int) -> CameraTrack:
+def first_images(reel: CameraReel, start_us: int, stop: int) -> CameraReel:
     """Images from ``start_us`` until the ``stop``-th of the scene."""
-    kept = slice(int(np.searchsorted(track.timestamp_us, start_us)), stop)
-    arrays = {name: getattr(track, name)[kept] for name in ("timestamp_us", "is_keyframe", "x_m", "y_m", "yaw_rad")}
-    return replace(track, image_paths=track.image_paths[kept], **arrays)
+    kept = slice(int(np.searchsorted(reel.timestamp_us, start_us)), stop)
+    arrays = {name: getattr(reel, name)[kept] for name in ("timestamp_us", "is_keyframe", "x_m", "y_m", "yaw_rad")}
+    return replace(reel, image_paths=reel.image_paths[kept], **arrays)
 
 
 @pytest.mark.integration
@@ -47,8 +47,8 @@ def test_one_scene_comes_out_the_same(tmp_path: Path) -> None:
     for path, image in itertools.islice(frames, IMAGES):
         write_bytes(path, simplejpeg.encode_jpeg(image, quality=JPEG_QUALITY, colorspace="RGB"))
     scene = open_dataset(tmp_path).load(SCENE, (CAMERA,))
-    track = first_images(scene.cameras[CAMERA], image_us[0], IMAGES)
-    anew, _ = record_scene(replace(scene, cameras={CAMERA: track}), default_experts(RecordConfig(), SCENE))
+    reel = first_images(scene.cameras[CAMERA], image_us[0], IMAGES)
+    anew, _ = record_scene(replace(scene, cameras={CAMERA: reel}), default_experts(RecordConfig(), SCENE))
 
     rows = np.searchsorted(image_us, anew["timestamp_us"])  # with one camera every step closes with its image
     np.testing.assert_array_equal(image_us[rows], anew["timestamp_us"])

@@ -77,20 +77,20 @@ def test_missing_messages(sound):
 
 
 def test_images(folder):
-    track = open_dataset(folder).track("scene-2061", "CAM_BACK")
-    track.image_paths[2].unlink()
-    track.image_paths[5].write_bytes(b"")
+    reel = open_dataset(folder).reel("scene-2061", "CAM_BACK")
+    reel.image_paths[2].unlink()
+    reel.image_paths[5].write_bytes(b"")
     assert problems(folder) == []
     assert notes(folder) == [
-        f"images: CAM_BACK: 1 of 48 images are missing, first {track.image_paths[2]}: no image in these steps",
-        f"images: CAM_BACK: 1 of 48 images are empty, first {track.image_paths[5]}: no image in these steps",
+        f"images: CAM_BACK: 1 of 48 images are missing, first {reel.image_paths[2]}: no image in these steps",
+        f"images: CAM_BACK: 1 of 48 images are empty, first {reel.image_paths[5]}: no image in these steps",
     ]
-    track.image_paths[3].unlink()
+    reel.image_paths[3].unlink()
     limit = "at most 5% (one in any case) and 10 in a row may be broken"
     assert notes(folder) == []
     assert problems(folder) == [
-        f"images: CAM_BACK: 2 of 48 images are missing, first {track.image_paths[2]}: {limit}",
-        f"images: CAM_BACK: 1 of 48 images are empty, first {track.image_paths[5]}: {limit}",
+        f"images: CAM_BACK: 2 of 48 images are missing, first {reel.image_paths[2]}: {limit}",
+        f"images: CAM_BACK: 1 of 48 images are empty, first {reel.image_paths[5]}: {limit}",
     ]
 
 

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import itertools
 import json
 from pathlib import Path
 
@@ -9,7 +10,7 @@ import pytest
 from mixo_env.errors import ConfigurationError, DatasetError
 from mixo_env.geometry import wrap_angle_rad, yaw_from_quaternion_wxyz
 from mixo_env.nuscenes import cache
-from mixo_env.nuscenes.json_rows import read_rows
+from mixo_env.nuscenes.json_rows import read_blocks
 from mixo_env.nuscenes.selections import ALL_CAMERAS, CAMERAS
 from mixo_env.nuscenes.tables import open_dataset
 from tests.nuscenes_fixture import DRIVES, SceneTruth, token, write_nuscenes
@@ -41,17 +42,17 @@ def test_round_trip_gives_back_the_generators_truth(folder):
         scene = dataset.load(name, ALL_CAMERAS)
         assert tuple(scene.cameras) == ALL_CAMERAS
         assert (scene.log, scene.description) == (truth.drive.log, truth.drive.description)
-        for channel, track in scene.cameras.items():
+        for channel, reel in scene.cameras.items():
             expected = truth.cameras[channel]
-            assert track.timestamp_us.dtype == np.int64
-            assert track.timestamp_us.tolist() == expected.timestamp_us
-            assert track.is_keyframe.tolist() == expected.is_keyframe
-            assert [path.relative_to(root).as_posix() for path in track.image_paths] == expected.filenames
+            assert reel.timestamp_us.dtype == np.int64
+            assert reel.timestamp_us.tolist() == expected.timestamp_us
+            assert reel.is_keyframe.tolist() == expected.is_keyframe
+            assert [path.relative_to(root).as_posix() for path in reel.image_paths] == expected.filenames
             x, y, yaw = np.array(expected.pose).T
-            np.testing.assert_allclose(track.x_m, x, rtol=0, atol=1e-9)
-            np.testing.assert_allclose(track.y_m, y, rtol=0, atol=1e-9)
-            np.testing.assert_allclose(wrap_angle_rad(track.yaw_rad - yaw), 0.0, atol=1e-9)
-            calibration = track.calibration
+            np.testing.assert_allclose(reel.x_m, x, rtol=0, atol=1e-9)
+            np.testing.assert_allclose(reel.y_m, y, rtol=0, atol=1e-9)
+            np.testing.assert_allclose(wrap_angle_rad(reel.yaw_rad - yaw), 0.0, atol=1e-9)
+            calibration = reel.calibration
             assert (calibration.channel, calibration.width, calibration.height) == (channel, 1600, 900)
             np.testing.assert_allclose(calibration.intrinsic, expected.intrinsic, atol=1e-9)
             np.testing.assert_allclose(calibration.translation_m, expected.translation_m, atol=1e-9)
@@ -192,7 +193,8 @@ class TestRows:
         rows = [{"token": token(i), "scene_token": f"}} , {{ {i}", "nested": {"a": [{"b": 1}]}} for i in range(9)]
         path = tmp_path / "sample.json"
         path.write_text("\n" + json.dumps(rows, **layout) + "\n")
-        read = [(row.token, row.scene_token) for row in read_rows(path, _SampleRow, block_bytes)]
+        blocks = read_blocks(path, _SampleRow, block_bytes)
+        read = [(row.token, row.scene_token) for row in itertools.chain.from_iterable(blocks)]
         assert read == [(row["token"], row["scene_token"]) for row in rows]
 
     @pytest.mark.parametrize("text", ["[]", " [ ] \n"])
@@ -201,7 +203,7 @@ class TestRows:
 
         path = tmp_path / "sample.json"
         path.write_text(text)
-        assert list(read_rows(path, _SampleRow)) == []
+        assert list(itertools.chain.from_iterable(read_blocks(path, _SampleRow))) == []
 
 
 class TestBadInput:

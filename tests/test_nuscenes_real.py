@@ -81,15 +81,15 @@ class TestRealData:
         assert len(dataset.scene_names) == 10
         for name, expected in frames.items():
             scene = dataset.load(name, ("CAM_FRONT",))
-            track = scene.cameras["CAM_FRONT"]
-            assert len(track.x_m) == 237
-            assert track.is_keyframe.sum() == 41 == next(s for s in dataset.scenes if s.name == name).keyframes
-            assert track.timestamp_us.tolist() == [frame["timestamp"] for frame in expected]
-            np.testing.assert_allclose(track.calibration.intrinsic, calibration[name]["cam_intrinsic"], atol=1e-9)
-            step = np.hypot(np.diff(track.x_m), np.diff(track.y_m))
+            reel = scene.cameras["CAM_FRONT"]
+            assert len(reel.x_m) == 237
+            assert reel.is_keyframe.sum() == 41 == next(s for s in dataset.scenes if s.name == name).keyframes
+            assert reel.timestamp_us.tolist() == [frame["timestamp"] for frame in expected]
+            np.testing.assert_allclose(reel.calibration.intrinsic, calibration[name]["cam_intrinsic"], atol=1e-9)
+            step = np.hypot(np.diff(reel.x_m), np.diff(reel.y_m))
             moving = step > 0.2
-            course = np.arctan2(np.diff(track.y_m), np.diff(track.x_m))[moving]
-            middle = track.yaw_rad[:-1][moving] + 0.5 * wrap_angle_rad(np.diff(track.yaw_rad))[moving]
+            course = np.arctan2(np.diff(reel.y_m), np.diff(reel.x_m))[moving]
+            middle = reel.yaw_rad[:-1][moving] + 0.5 * wrap_angle_rad(np.diff(reel.yaw_rad))[moving]
             assert np.degrees(np.abs(np.median(wrap_angle_rad(course - middle)))) < 1.0
         with pytest.raises(DatasetError, match="the tables list no images"):
             dataset.load("scene-0061")

@@ -162,8 +162,8 @@ def test_named_scenes_must_be_of_the_selection(folder):
 
 def test_key_frames_only(folder):
     every, keys = open_dataset(folder), open_dataset(folder, keyframes_only=True)
-    track = keys.track("scene-2061", "CAM_FRONT")
-    assert track.is_keyframe.all()
-    assert len(track.x_m) == every.track("scene-2061", "CAM_FRONT").is_keyframe.sum() == 5
-    assert all("samples" in path.parts for path in track.image_paths)
+    reel = keys.reel("scene-2061", "CAM_FRONT")
+    assert reel.is_keyframe.all()
+    assert len(reel.x_m) == every.reel("scene-2061", "CAM_FRONT").is_keyframe.sum() == 5
+    assert all("samples" in path.parts for path in reel.image_paths)
     assert pickle.loads(pickle.dumps(keys)).keyframes_only

@@ -14,7 +14,7 @@ import pytest
 from mixo_env.errors import DatasetError, OutputError
 from mixo_env.files import write_bytes
 from mixo_env.geometry import rotation_from_quaternion_wxyz, wrap_angle_rad
-from mixo_env.nuscenes.scene import CameraCalibration, CameraTrack, Scene
+from mixo_env.nuscenes.scene import CameraCalibration, CameraReel, Scene
 from mixo_env.nuscenes.tables import open_dataset
 from mixo_env.nuscenes.writer import (
     EMPTY_TABLES,
@@ -50,7 +50,7 @@ def made_scene(
             450,
         )
         drift = np.linspace(0.0, 0.3, 7)
-        cameras[channel] = CameraTrack(
+        cameras[channel] = CameraReel(
             calibration, time_us, paths, keyframe, 100.0 + drift, -20.0 + drift, wrap_angle_rad(np.pi - 0.1 + drift)
         )
     return Scene(name, "sunny, straight", LOG, "m001", "mixocity", ("day",), cameras, None), sample_us
@@ -149,19 +149,19 @@ def test_round_trip_through_the_reader(written):
             scene.vehicle,
             scene.location,
         )
-        for channel, track in scene.cameras.items():
+        for channel, reel in scene.cameras.items():
             other = back.cameras[channel]
-            assert np.array_equal(other.timestamp_us, track.timestamp_us)
-            assert np.array_equal(other.is_keyframe, track.is_keyframe)
-            assert other.image_paths == track.image_paths
-            assert other.x_m == pytest.approx(track.x_m, abs=1e-9)
-            assert other.y_m == pytest.approx(track.y_m, abs=1e-9)
-            assert np.abs(wrap_angle_rad(other.yaw_rad - track.yaw_rad)).max() < 1e-9
-            assert other.calibration.intrinsic == pytest.approx(track.calibration.intrinsic)
+            assert np.array_equal(other.timestamp_us, reel.timestamp_us)
+            assert np.array_equal(other.is_keyframe, reel.is_keyframe)
+            assert other.image_paths == reel.image_paths
+            assert other.x_m == pytest.approx(reel.x_m, abs=1e-9)
+            assert other.y_m == pytest.approx(reel.y_m, abs=1e-9)
+            assert np.abs(wrap_angle_rad(other.yaw_rad - reel.yaw_rad)).max() < 1e-9
+            assert other.calibration.intrinsic == pytest.approx(reel.calibration.intrinsic)
             assert other.calibration.rotation_ego_from_camera == pytest.approx(
-                track.calibration.rotation_ego_from_camera, abs=1e-9
+                reel.calibration.rotation_ego_from_camera, abs=1e-9
             )
-            assert other.calibration.translation_m == pytest.approx(track.calibration.translation_m)
+            assert other.calibration.translation_m == pytest.approx(reel.calibration.translation_m)
 
 
 def test_equal_input_gives_equal_files(written, tmp_path_factory):
@@ -189,8 +189,8 @@ def test_inconsistent_scenes_are_refused(tmp_path):
         scene_tables(tmp_path, scene, times[::-1])
     with pytest.raises(DatasetError, match="at least one"):
         scene_tables(tmp_path, scene, [])
-    track = scene.cameras["CAM_FRONT"]
-    twice = replace(track, timestamp_us=np.repeat(track.timestamp_us[:1], len(track.timestamp_us)))
+    reel = scene.cameras["CAM_FRONT"]
+    twice = replace(reel, timestamp_us=np.repeat(reel.timestamp_us[:1], len(reel.timestamp_us)))
     with pytest.raises(DatasetError, match="increasing times"):
         scene_tables(tmp_path, replace(scene, cameras={"CAM_FRONT": twice}), times)
 

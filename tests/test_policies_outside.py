@@ -16,7 +16,7 @@ from mixo_env.errors import ConfigurationError, PolicyError
 from mixo_env.leaderboard.board import build
 from mixo_env.leaderboard.stranger import Options
 from mixo_env.policies import registry
-from mixo_env.policies.agent import Playing
+from mixo_env.policies.agent import Asking
 from mixo_env.policies.fitting import prepare
 from mixo_env.policies.linear import Linear
 from mixo_env.policies.policy import Observation, Policy, Weights
@@ -50,13 +50,13 @@ class Relearnt(Linear):
 
 
 def increments(scored: object) -> np.ndarray:
-    return scored.row.run.motion.yaw_increment_rad  # type: ignore[attr-defined]
+    return scored.row.run.travel.yaw_increment_rad  # type: ignore[attr-defined]
 
 
 def test_a_class_that_learns_is_fitted_fold_by_fold_like_the_row_beside_it(recordings: Recordings) -> None:
     scored = mixo_env.score(Relearnt, recordings)
-    linear = next(row for row in scored.board.tables[0].rows if row.name == "LINEAR")
-    np.testing.assert_array_equal(increments(scored), linear.run.motion.yaw_increment_rad)
+    linear = next(row for row in scored.board.standings[0].rows if row.name == "LINEAR")
+    np.testing.assert_array_equal(increments(scored), linear.run.travel.yaw_increment_rad)
     assert set(scored.row.run.policies) == {0, 1, 2, 3}
     assert [c.second for c in scored.differences] == ["CAM_FRONT", "LINEAR", "HUBER"]
     assert scored.differences[1].difference.mean == 0.0
@@ -76,8 +76,8 @@ def test_a_function_of_one_scene_and_of_all_are_the_equal_weights_they_mean(
 
     expected = increments(mixo_env.score(Equal(), recordings))
     for function, vectorised in ((one, False), (every, True)):
-        playing = Playing(observation=observation, vectorised=vectorised)  # type: ignore[arg-type]
-        np.testing.assert_allclose(increments(mixo_env.score(function, recordings, options=Options(playing))), expected)
+        asking = Asking(observation=observation, vectorised=vectorised)  # type: ignore[arg-type]
+        np.testing.assert_allclose(increments(mixo_env.score(function, recordings, options=Options(asking))), expected)
 
 
 def test_frozen_policies_are_refused_on_their_own_training_drives(recordings: Recordings, tmp_path: Path) -> None:
@@ -135,7 +135,7 @@ def test_rows_of_an_installed_distribution_and_broken_ones(
     assert "distribution tiny-policies: the name LINEAR is taken" in caplog.text
     assert isinstance(registry.create("LINEAR", recordings), Linear)
     board = build(recordings, tracks=("VISION",), policies=("surest", "linear"))
-    assert [row.name for row in board.tables[0].rows] == ["LINEAR", "SUREST"]
+    assert [row.name for row in board.standings[0].rows] == ["LINEAR", "SUREST"]
     for name in ("BROKEN", "OTHER"):
         with pytest.raises(PolicyError, match=f"distribution tiny-policies, policy {name}: "):
             build(recordings, tracks=("VISION",), policies=(name,))
@@ -169,4 +169,6 @@ def test_the_ten_lines_of_the_page_give_a_row(tmp_path: Path) -> None:
 @pytest.mark.integration
 def test_the_example_runs(tmp_path: Path) -> None:
     (tmp_path / "own_policy.py").write_text((ROOT / "examples/own_policy.py").read_text(encoding="utf-8"))
-    assert "SUREST - LINEAR: " in run(sys.executable, "own_policy.py", cwd=tmp_path)
+    printed = run(sys.executable, "own_policy.py", cwd=tmp_path)
+    assert "SUREST - LINEAR: " in printed
+    assert {"SUREST", "CAM_FRONT", "LINEAR", "HUBER", "MIXO"} <= {line.split("  ")[0] for line in printed.splitlines()}

@@ -166,15 +166,15 @@ def test_a_plug_in_is_loaded_by_its_name(
 def test_a_saved_expert_without_a_vote_is_shown(recordings: Recordings, tmp_path: Path) -> None:
     fitted(Single("INERTIAL"), recordings, tmp_path / "saved")
     scored = mixo_env.score(tmp_path / "saved", recordings)
-    (row,) = (r for r in scored.board.tables[0].rows if r.name == "INERTIAL (saved)")
+    (row,) = (r for r in scored.board.standings[0].rows if r.name == "INERTIAL (saved)")
     alone = synthetic_single(recordings)
-    np.testing.assert_array_equal(row.run.motion.yaw_increment_rad, alone)
+    np.testing.assert_array_equal(row.run.travel.yaw_increment_rad, alone)
 
 
 def synthetic_single(recordings: Recordings) -> NDArray[np.float64]:
     from mixo_env.leaderboard.crossvalidation import CrossValidation
 
-    return CrossValidation(recordings).run("INERTIAL", "VISION").motion.yaw_increment_rad
+    return CrossValidation(recordings).run("INERTIAL", "VISION").travel.yaw_increment_rad
 
 
 def network(path: Path) -> None:

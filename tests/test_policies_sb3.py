@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from mixo_env.errors import ConfigurationError, PolicyError
-from mixo_env.policies.agent import Playing
+from mixo_env.policies.agent import Asking
 from mixo_env.policies.sb3 import Network, read_network
 
 WIDTH, EXPERTS = 7, 4
@@ -53,14 +53,14 @@ def test_the_action_is_that_of_its_own_predict(
 
     kwargs = {"activation_fn": getattr(nn, activation)} if activation else {}
     model, path = saved(tmp_path, algorithm, discrete, **kwargs)
-    playing = Playing(weights="select" if discrete else "raw")
-    act, how = read_network(path, Network(), playing)
+    asking = Asking(weights="select" if discrete else "raw")
+    act, how = read_network(path, Network(), asking)
     assert how.vectorised
     seen = np.random.default_rng(0).normal(0, 3, (50, WIDTH)).astype(np.float32)
     expected, _ = model.predict(seen, deterministic=True)
     np.testing.assert_allclose(act(seen), expected, atol=1e-5)
     with pytest.raises(ConfigurationError, match=r"weights: net\.zip needs"):
-        read_network(path, Network(), Playing(weights="softmax" if discrete else "select"))
+        read_network(path, Network(), Asking(weights="softmax" if discrete else "select"))
 
 
 def test_statistics_do_what_vecnormalize_does(tmp_path: Path) -> None:
@@ -70,13 +70,13 @@ def test_statistics_do_what_vecnormalize_does(tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
     mean, var = rng.normal(0, 1, WIDTH), rng.uniform(0.1, 2, WIDTH)
     save_file({"mean": mean, "var": var}, tmp_path / "s.safetensors")
-    act, _ = read_network(path, Network(statistics=tmp_path / "s.safetensors"), Playing())
+    act, _ = read_network(path, Network(statistics=tmp_path / "s.safetensors"), Asking())
     seen = rng.normal(0, 3, (9, WIDTH)).astype(np.float32)
     normal = np.clip((seen - mean) / np.sqrt(var + 1e-8), -10, 10).astype(np.float32)
     np.testing.assert_allclose(act(seen), model.predict(normal, deterministic=True)[0], atol=1e-5)
     (tmp_path / "s.pkl").write_bytes(pickle.dumps(Bomb(tmp_path / "ran")))
     with pytest.raises(PolicyError, match="is no safetensors file"):
-        read_network(path, Network(statistics=tmp_path / "s.pkl"), Playing())
+        read_network(path, Network(statistics=tmp_path / "s.pkl"), Asking())
     assert not (tmp_path / "ran").exists()
 
 
@@ -117,7 +117,7 @@ def test_serialised_keys_of_the_json_are_never_unpickled(tmp_path: Path) -> None
         data = json.loads(archive.read("data"))
     data |= {key: {":type:": "x", ":serialized:": evil} for key in ("policy_class", "extra", "observation_space")}
     rewritten(path, data=json.dumps(data).encode())
-    act, _ = read_network(path, Network(), Playing())
+    act, _ = read_network(path, Network(), Asking())
     assert act(np.zeros((1, WIDTH), np.float32)).shape == (1, EXPERTS)
     assert not (tmp_path / "ran").exists()
 
@@ -176,6 +176,6 @@ def test_hostile_and_broken_zips_are_one_line_and_run_nothing(tmp_path: Path, wa
     _, path = saved(tmp_path, "PPO", False)
     hostile(tmp_path, path, way)
     with pytest.raises(PolicyError) as error:
-        read_network(path, Network(), Playing())
+        read_network(path, Network(), Asking())
     assert "\n" not in str(error.value)
     assert not (tmp_path / "ran").exists()

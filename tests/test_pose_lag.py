@@ -11,7 +11,7 @@ import pytest
 
 from mixo_env.errors import RecordingError
 from mixo_env.leaderboard.crossvalidation import CrossValidation
-from mixo_env.leaderboard.evaluation import Course, with_wheels
+from mixo_env.leaderboard.evaluation import Truth, with_wheels
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.fitting import with_fits
 from mixo_env.recordings.keyframes import at_keyframes
@@ -167,10 +167,9 @@ def test_written_poses_stay_a_course_of_their_own():
     protocol = CrossValidation(late_recordings(LAG_S, scenes=8))
     exact = np.diff(protocol.recordings["exact.yaw_rad"], prepend=np.nan)
     exact[protocol.recordings.offsets[:-1]] = np.nan
-    motion = with_wheels(protocol.recordings, exact)
+    travel = with_wheels(protocol.recordings, exact)
     written, corrected = (
-        Course(protocol.recordings, truth).measure(motion).absolute.rotation_deg.mean()
-        for truth in ("written", "truth")
+        Truth(protocol.recordings, truth).measure(travel).absolute.rotation_deg.mean() for truth in ("written", "truth")
     )
     assert corrected < 0.2 * written
 
@@ -179,6 +178,6 @@ def test_bundled_exact_yaw_is_nearly_perfect():
     protocol = CrossValidation(load_recordings())
     exact = np.diff(protocol.recordings["exact.yaw_rad"], prepend=np.nan)
     exact[protocol.recordings.offsets[:-1]] = np.nan
-    errors = Course(protocol.recordings).measure(with_wheels(protocol.recordings, exact))
+    errors = Truth(protocol.recordings).measure(with_wheels(protocol.recordings, exact))
     assert errors.relative.rotation_deg_per_m.mean() < 0.003
     assert errors.absolute.rotation_deg.mean() < 0.09

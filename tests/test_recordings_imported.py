@@ -173,7 +173,7 @@ def test_another_recording_is_never_replaced(tmp_path, capsys):
     (tmp_path / "files").mkdir()
     write_tum(tmp_path / "files" / "scene-2001.txt", truth(recordings, "scene-2001"))
     before = (tmp_path / "other" / "recordings.parquet").read_bytes()
-    arguments = ["import", str(tmp_path / "in"), "--expert", "X", "--trajectories", str(tmp_path / "files"), "--out"]
+    arguments = ["import", str(tmp_path / "in"), "--expert", f"X={tmp_path / 'files'}", "--out"]
     assert main([*arguments, str(tmp_path / "other")]) == 2
     assert "other holds another recording: choose another --out" in capsys.readouterr().err
     assert (tmp_path / "other" / "recordings.parquet").read_bytes() == before
@@ -202,7 +202,7 @@ def test_mixo_import(tmp_path, capsys, kind):
             np.savetxt(path.with_suffix(".times"), trajectory.timestamps_s, fmt="%.6f")
         else:
             write_tum(path, as_camera(trajectory, mounting_deg=55.0))
-    arguments = ["--expert", "OTHER", "--trajectories", str(tmp_path / "files"), "--out", str(tmp_path / "out")]
+    arguments = ["--expert", f"OTHER={tmp_path / 'files'}", "--out", str(tmp_path / "out")]
     axes = ["--axes", "camera"] if kind == "camera in tum" else []
     assert main(["import", str(tmp_path / "in"), *arguments, *axes]) == 0
     assert "OTHER in 2 of 2 scenes, 100.0% of the steps" in capsys.readouterr().out

@@ -69,8 +69,8 @@ def test_it_has_a_row_but_no_vote_and_enters_no_oracle():
             replay.reset(np.arange(len(bare)))
         np.testing.assert_array_equal(one.observe_flat(), other.observe_flat())
     rows = ("CAM_BACK", JOINT, "HUBER", "MULTICAMERA GT", "ORACLE ALL")
-    with_it = build(recordings, policies=rows, tracks=("VISION",)).tables[0].rows
-    without = build(bare, policies=[row for row in rows if row != JOINT], tracks=("VISION",)).tables[0].rows
+    with_it = build(recordings, policies=rows, tracks=("VISION",)).standings[0].rows
+    without = build(bare, policies=[row for row in rows if row != JOINT], tracks=("VISION",)).standings[0].rows
     assert [row.name for row in with_it if not row.votes] == [JOINT]
     scores = {row.name: row.headline for row in with_it}
     assert all(scores[row.name] == row.headline for row in without)

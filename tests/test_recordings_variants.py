@@ -115,7 +115,7 @@ def test_rows_follow_their_camera_and_are_scored_in_every_track(recordings):
     assert create(OTHER, recordings).name == "CAM_BACK_RIGHT"
     cameras = ("CAM_FRONT", WITHOUT_INITIALISATION, "CAM_BACK_RIGHT", OTHER)
     board = build(recordings, policies=cameras)
-    for table in board.tables:
+    for table in board.standings:
         rows = {row.run.name: row for row in table.rows}
         assert tuple(rows) == cameras
         assert [row.votes for row in rows.values()] == [True, False, True, False]
@@ -142,7 +142,7 @@ def test_without_initialisation_nothing_moves_until_the_first_track(recordings):
         assert before["distance_m"][1:first].all()  # the recordings themselves are as they were
     changed = {name for name in shown.column_names if shown[name] is not recordings[name]}
     assert changed == {"CAM_FRONT.yaw_increment_rad", "distance_m", "speed_mps"}
-    table = build(recordings, policies=("CAM_FRONT", WITHOUT_INITIALISATION), tracks=("PAPER",)).tables[0]
+    table = build(recordings, policies=("CAM_FRONT", WITHOUT_INITIALISATION), tracks=("PAPER",)).standings[0]
     with_it, without = (row.scores["truth"].ate_m for row in table.rows)
     assert without > with_it
 

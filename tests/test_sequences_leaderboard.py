@@ -41,7 +41,7 @@ def recorded(root: Path, experts: int, sequences: int = 3, counts: bool = False,
 def test_any_number_of_experts_is_scored(tmp_path, experts):
     recordings = recorded(tmp_path, experts)
     board = build(recordings, policies=QUICK)
-    (table,) = board.tables
+    (table,) = board.standings
     assert table.track == "VISION"
     scores = {row.name: row.headline.rotation_deg_per_m.mean for row in table.rows}
     assert all(np.isfinite(score) for score in scores.values())
@@ -56,7 +56,7 @@ def test_any_number_of_experts_is_scored(tmp_path, experts):
 
 def test_match_counts_give_highest_match_a_row(tmp_path):
     board = build(recorded(tmp_path, 2, counts=True), policies=["HIGHEST MATCH", "MIXO", "E0"])
-    (table,) = board.tables
+    (table,) = board.standings
     scores = {row.name: row.headline.rotation_deg_per_m.mean for row in table.rows}
     assert scores["HIGHEST MATCH"] == scores["E0"]
     assert "no row" not in to_markdown(board)
@@ -64,7 +64,7 @@ def test_match_counts_give_highest_match_a_row(tmp_path):
 
 def test_one_log_has_no_learned_rows_and_says_so(tmp_path):
     board = build(recorded(tmp_path, 2, sequences=2, logs={"*": "one"}))
-    (table,) = board.tables
+    (table,) = board.standings
     assert {"LINEAR", "HUBER", "MIXO", "PPO"} <= set(table.left_out)
     assert {"E0", "E1", "MEDIAN", "PERFECT YAW"} <= {row.name for row in table.rows}
     assert "nothing to learn from that is not tested" in to_markdown(board)
@@ -74,7 +74,7 @@ def test_an_odometry_named_after_a_camera_takes_its_place_in_the_family(tmp_path
     folders = write_set(tmp_path, {"CAM_FRONT": 1e-3, "CAM_BACK": 2e-3}, sequences=3)
     truth = folders.pop("groundtruth")
     recordings = recordings_from_trajectories(truth, folders, SequenceRules(Reading(rate_hz=RATE_HZ)))
-    (table,) = build(recordings, policies=["CAM_FRONT", "LINEAR"]).tables
+    (table,) = build(recordings, policies=["CAM_FRONT", "LINEAR"]).standings
     assert [(c.first, c.second) for c in table.comparisons.confirmatory] == [("LINEAR", "CAM_FRONT")]
 
 
@@ -85,7 +85,7 @@ def test_lost_experts_are_bridged_by_the_others_and_counted(tmp_path):
     (folders["A"] / "drive00.quality.csv").write_text("\n".join(["state", *state]))
     truth = folders.pop("groundtruth")
     recordings = recordings_from_trajectories(truth, folders, SequenceRules(Reading(rate_hz=RATE_HZ)))
-    (table,) = build(recordings, policies=["A", "B", "MEDIAN"]).tables
+    (table,) = build(recordings, policies=["A", "B", "MEDIAN"]).standings
     rows = {row.name: row for row in table.rows}
     assert rows["A"].headline.yaw_increment_rmse_deg < 1e-4  # B's turns stand in, and B is exact
     lost = [row.lost.counts.tolist() for row in rows.values() if row.lost is not None]

@@ -75,14 +75,14 @@ def test_the_reader_finds_what_was_simulated(folder):
             assert scene.conditions == (
                 ("night",) if log.weather == "night" else ("day", "rain")[: 1 + (log.weather == "rain")]
             )
-            for channel, track in scene.cameras.items():
+            for channel, reel in scene.cameras.items():
                 mine = simulated.scene.cameras[channel]
-                assert track.timestamp_us.tolist() == mine.timestamp_us.tolist()
-                assert track.image_paths == mine.image_paths
-                assert track.x_m == pytest.approx(mine.x_m, abs=1e-9)
-                assert np.abs(wrap_angle_rad(track.yaw_rad - mine.yaw_rad)).max() < 1e-9
+                assert reel.timestamp_us.tolist() == mine.timestamp_us.tolist()
+                assert reel.image_paths == mine.image_paths
+                assert reel.x_m == pytest.approx(mine.x_m, abs=1e-9)
+                assert np.abs(wrap_angle_rad(reel.yaw_rad - mine.yaw_rad)).max() < 1e-9
                 written = log.rig.written[channel]
-                assert track.calibration.rotation_ego_from_camera == pytest.approx(
+                assert reel.calibration.rotation_ego_from_camera == pytest.approx(
                     written.rotation_ego_from_camera, abs=1e-9
                 )
             assert scene.can_bus is not None

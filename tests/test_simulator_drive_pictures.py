@@ -76,10 +76,10 @@ def test_every_row_of_the_tables_has_its_picture(renderer, tmp_path, monkeypatch
     monkeypatch.setattr(dataset, "_renderer", lambda *_: renderer)
     simulate(config, tmp_path / "city")
     scene = open_dataset(tmp_path / "city").load("scene-2001", ("CAM_FRONT", "CAM_BACK"))
-    for track in scene.cameras.values():
-        images = [simplejpeg.decode_jpeg(path.read_bytes(), "GRAY") for path in track.image_paths]
+    for reel in scene.cameras.values():
+        images = [simplejpeg.decode_jpeg(path.read_bytes(), "GRAY") for path in reel.image_paths]
         assert {image.shape for image in images} == {(180, 320, 1)}
-        assert len({path.read_bytes() for path in track.image_paths}) == len(images)  # no picture twice
+        assert len({path.read_bytes() for path in reel.image_paths}) == len(images)  # no picture twice
     simulate(config, tmp_path / "again")
     for path in (tmp_path / "city").rglob("*.jpg"):
         assert path.read_bytes() == (tmp_path / "again" / path.relative_to(tmp_path / "city")).read_bytes()

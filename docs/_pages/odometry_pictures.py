@@ -14,7 +14,7 @@ from mixo_env.experts.monocular.camera import MountedCamera
 from mixo_env.experts.monocular.kinematics import camera_displacement
 from mixo_env.experts.monocular.motion import Motion
 from mixo_env.experts.monocular.pair import PairSolver
-from mixo_env.geometry import rotation_from_yaw
+from mixo_env.geometry import rotation_from_roll_pitch_yaw, rotation_from_yaw
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -108,20 +108,13 @@ def epipolar_segments(view: PairView, chosen: NDArray[np.intp]) -> FloatArray:
     motion, camera = view.motion, view.camera
     if motion is None or not len(chosen):
         return np.empty((0, 2, 2))
-    turn = rotation_from_yaw(motion.yaw_rad) @ _tilt(motion)
+    turn = rotation_from_roll_pitch_yaw(motion.roll_rad, motion.pitch_rad, motion.yaw_rad)
     from_second = camera.rotation.T @ turn @ camera.rotation
     x, y = camera_displacement(motion.yaw_rad, view.distance_m, *map(float, camera.position_m[:2]))
     displacement = camera.rotation.T @ np.array([x, y + motion.slip_m, motion.heave_m])
     rays = np.column_stack([_plane(camera, view.second_px[chosen]), np.ones(len(chosen))]) @ from_second.T
     ends = [rays + inverse_depth * displacement for inverse_depth in (0.0, 1.0 / NEAREST_M)]
     return np.stack([pixels(camera, end[:, :2] / end[:, 2:]) for end in ends], axis=1)
-
-
-def _tilt(motion: Motion) -> FloatArray:
-    """R_y(pitch) R_x(roll)."""
-    cp, sp, cr, sr = (f(a) for a in (motion.pitch_rad, motion.roll_rad) for f in (np.cos, np.sin))
-    pitch = np.array([[cp, 0.0, sp], [0.0, 1.0, 0.0], [-sp, 0.0, cp]])
-    return pitch @ np.array([[1.0, 0.0, 0.0], [0.0, cr, -sr], [0.0, sr, cr]])
 
 
 def _plane(camera: MountedCamera, px: FloatArray) -> FloatArray:

@@ -134,7 +134,7 @@ def study(recordings: Recordings, buses: Sequence[CanBus], workers: int = 1) -> 
         for grade in GRADES:
             chosen = columns | {f"{VOTER}.yaw_increment_rad": columns[f"{grade}.yaw_increment_rad"]}
             board = build(recordings.replace(columns=chosen), tracks=(TRACK,), policies=(VOTER, "LINEAR"))
-            (table,) = board.tables
+            (table,) = board.standings
             alone, linear = (row.headline for row in table.rows)
             weights = np.array([by_expert[VOTER] for by_expert in table.linear_weights().values()])
             outcomes[grade, factor] = Outcome(alone, linear, weights)

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixo_env.errors import DatasetError
-from mixo_env.nuscenes.scene import CameraCalibration, CameraTrack, Scene
+from mixo_env.nuscenes.scene import CameraCalibration, CameraReel, Scene
 from mixo_env.nuscenes.tables import open_dataset
 from mixo_env.recordings.steps import read_grey
 
@@ -68,16 +68,16 @@ def open_drives(root: Path, scenes: tuple[str, ...], cameras: tuple[str, ...]) -
     dataset = open_dataset(root)
     for name in scenes or dataset.scene_names:
         scene = dataset.load(name, cameras)
-        for track in scene.cameras.values():
-            turn, path = _motion(scene, track)
-            yield Drive(name, track.calibration, tuple(track.image_paths), track.timestamp_us, turn, path, read_grey)
+        for reel in scene.cameras.values():
+            turn, path = _motion(scene, reel)
+            yield Drive(name, reel.calibration, tuple(reel.image_paths), reel.timestamp_us, turn, path, read_grey)
 
 
-def _motion(scene: Scene, track: CameraTrack) -> tuple[FloatArray, FloatArray]:
+def _motion(scene: Scene, reel: CameraReel) -> tuple[FloatArray, FloatArray]:
     """Yaw increment and path length between consecutive images: exact from a simulator, else from the ego poses."""
     if scene.exact is None:
-        return np.diff(np.unwrap(track.yaw_rad)), np.hypot(np.diff(track.x_m), np.diff(track.y_m))
-    exact, at = scene.exact, track.timestamp_us
+        return np.diff(np.unwrap(reel.yaw_rad)), np.hypot(np.diff(reel.x_m), np.diff(reel.y_m))
+    exact, at = scene.exact, reel.timestamp_us
     path = np.concatenate([[0.0], np.cumsum(np.hypot(np.diff(exact.x_m), np.diff(exact.y_m)))])
     yaw = np.interp(at, exact.timestamp_us, np.unwrap(exact.yaw_rad))
     return np.diff(yaw), np.diff(np.interp(at, exact.timestamp_us, path))

@@ -53,7 +53,7 @@ for row in tables["sample_data"]:
 
 OUR_WAY = """
 from mixo_env.nuscenes.tables import open_dataset
-open_dataset(Path({root!r})).track("scene-0001", "CAM_FRONT")
+open_dataset(Path({root!r})).reel("scene-0001", "CAM_FRONT")
 """
 
 INSPECT = """

@@ -72,7 +72,7 @@ class Benchmark:
         for by in self.by:
             check_grouping(recordings, by)
         folder = run_folder("benchmark", self.out)
-        tables = len(self.tracks or recordings.tables) * len(
+        tables = len(self.tracks or recordings.distinct_tracks) * len(
             {scene.fold < 0 for scene in recordings.scenes}
         )  # the night has its own
         begun = itertools.count()
@@ -107,7 +107,7 @@ class Benchmark:
         return {
             "command": "benchmark",
             "recordings": str(self.recordings or DEFAULT_RECORDINGS),
-            "tracks": [table.track for table in board.tables],
+            "tracks": [standings.track for standings in board.standings],
             "policies": list(board.policies),
             "seed": self.seed,
             "seeds": self.seeds,

@@ -48,7 +48,8 @@ class Export:
         from mixo_env.recordings.store import load_recordings
 
         recordings = load_recordings(self.recordings)
-        track = self.track or next((t for t in ("CONSUMER", *recordings.tables) if t in recordings.tables), "VISION")
+        tracks = recordings.distinct_tracks
+        track = self.track or next((track for track in ("CONSUMER", *tracks) if track in tracks), "VISION")
         if self.out.is_dir() and any(self.out.iterdir()):
             raise ConfigurationError(f"{self.out} is not empty: choose another --out, or remove it first")
         folder = writable_folder(self.out)

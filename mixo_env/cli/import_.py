@@ -48,8 +48,6 @@ class Import:
     """Folder of the true trajectories: every file a scene, every pose the end of a step."""
     expert: Annotated[Words, tyro.conf.arg(metavar="NAME=FOLDER ...")] = ()
     """Name of a new expert, and the folder of its files; as many as you like."""
-    trajectories: Path | None = None
-    """Folder of the one --expert that is given by its name alone."""
     axes: Annotated[Words, tyro.conf.arg(metavar="[NAME=]AXES ...")] = ()
     """Axes of the body, of all or of one expert or of groundtruth: file (as the format defines them: KITTI camera,
     others vehicle), vehicle (x forward, y left, z up), camera (x right, y down, z forward), ned (x forward, y right, z
@@ -139,13 +137,8 @@ class Import:
     def _experts(self) -> dict[str, Path]:
         from mixo_env.errors import ConfigurationError
 
-        asked = list(_flat(self.expert))
-        if self.trajectories is not None:
-            if len(asked) != 1 or "=" in asked[0]:
-                raise ConfigurationError("--trajectories belongs to one --expert NAME; write --expert NAME=FOLDER ...")
-            asked = [f"{asked[0]}={self.trajectories}"]
         experts: dict[str, Path] = {}
-        for name, folder in _pairs("expert", asked):
+        for name, folder in _pairs("expert", _flat(self.expert)):
             if name in experts:
                 raise ConfigurationError(f"--expert {name} is given twice: one folder an expert")
             experts[name] = Path(folder)
@@ -190,7 +183,7 @@ class Import:
         logs = len({scene.log for scene in made.scenes})
         source = made.manifest.distance + (" (privileged)" if made.manifest.distance == "truth" else "")
         print(f"{self.out}: {scenes} scenes, {steps:,} steps, {logs} logs, {folds} folds; distance from {source}")
-        print("Only yaw is used of the experts: positions of their files play no part.")
+        print("Only yaw is used of the experts: positions of their files are not used.")
 
 
 def _flat(words: tuple[tuple[str, ...], ...]) -> tuple[str, ...]:

@@ -79,7 +79,7 @@ class Score:
         from mixo_env.files import writable_folder, write_json
         from mixo_env.leaderboard.report import print_leaderboard
         from mixo_env.leaderboard.stranger import BESIDE, Options, score
-        from mixo_env.policies.agent import Playing
+        from mixo_env.policies.agent import Asking
         from mixo_env.policies.sb3 import Network
 
         folder = self.out and writable_folder(self.out)
@@ -92,7 +92,7 @@ class Score:
                 folds=self.folds,
                 fitted_on=self._declared(),
                 options=Options(
-                    Playing(self.observation, self.weights, self.raw_scale, self.vectorised),
+                    Asking(self.observation, self.weights, self.raw_scale, self.vectorised),
                     Network(self.algorithm, self.activation, self.statistics),
                     self.policy_class,
                     self.seed,
@@ -101,7 +101,7 @@ class Score:
                 progress=lambda _: report(next(begun), len(BESIDE) + 1),
             )
         print_leaderboard(scored.board)
-        for line in scored.lines():
+        for line in scored.difference_lines():
             print(line)
         if folder:
             write_json(folder / "score.json", scored.to_json() | {"configuration": self._plain()})

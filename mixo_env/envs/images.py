@@ -58,7 +58,7 @@ class SceneImages:
         name, rows = self._recordings.scenes[scene].name, self._recordings.rows(scene)
         found = {}
         for camera in self.cameras:
-            track = self._dataset.track(name, camera)
+            track = self._dataset.reel(name, camera)
             offset = rows[f"{camera}.image_time_offset_s"].astype(np.float64)
             fired = np.isfinite(offset)
             wanted = rows["timestamp_us"] + np.round(1e6 * np.where(fired, offset, 0.0)).astype(np.int64)

@@ -149,6 +149,9 @@ class MixoOdometryEnv(PlainSpec, gym.Env[Any, Any]):  # pyright: ignore[reportIn
     print(info["scores"])
     ```
 
+    Episodes of any policy become a Minari data set, for offline reinforcement learning, by
+    `mixo_env.envs.episodes.write_minari`: see `examples/minari_episodes.py`.
+
     ## Version history
     * v0: first version. Scores may move until release 1.0.0; until then quote the data version of the recordings.
     """
@@ -181,7 +184,7 @@ class MixoOdometryEnv(PlainSpec, gym.Env[Any, Any]):  # pyright: ignore[reportIn
         if self._ended:
             raise ConfigurationError("the scene has ended: call reset() before step()")
         session = self.session
-        observation, report, ended = session.play(session.rule.read(action, None))
+        observation, report, ended = session.step(session.rule.read(action, None))
         reward, increment, error, *terms = report.ravel().tolist()
         info: dict[str, Any] = {"yaw_increment_rad": increment, "yaw_error_rad": error}
         for name, term in zip(session.terms, terms, strict=True):
@@ -273,7 +276,7 @@ class MixoOdometryVectorEnv(PlainSpec, VectorEnv[Any, Any, Any]):  # pyright: ig
             session.rule.complain(numbers)
             session.begin(np.flatnonzero(before), self.np_random, pause=True)  # NEXT_STEP: this step is their reset
             info, played = self._reset_info(before), ~before
-        observation, report, ended = session.play(numbers)
+        observation, report, ended = session.step(numbers)
         truncated = session.replay.done.copy()
         if self._limit is not None:
             truncated |= session.replay.state["step"] >= self._limit

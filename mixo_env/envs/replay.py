@@ -218,7 +218,16 @@ class Replay:
         return dict(zip(SCORES, values, strict=True))
 
     def trajectory(self, entry: int) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Fused x [m], y [m], yaw [rad, unwrapped] ``(steps so far + 1,)`` of one batch entry, map frame."""
+        """Fused x [m], y [m], yaw [rad, unwrapped] ``(steps so far + 1,)`` of one batch entry, map frame.
+
+        Raises:
+            ConfigurationError: where the steps were not kept.
+        """
+        if not self._keep_trajectories:
+            raise ConfigurationError(
+                "this replay keeps no trajectories, to be fast: make the environment with render_mode='rgb_array' or "
+                "'ansi', or a replay of your own with Replay(recordings, track=..., keep_trajectories=True)"
+            )
         scene, done = int(self.state[entry]["scene"]), int(self.state[entry]["step"])
         first = int(self.starts[scene]["first"])
         x, y, yaw = (float(value) for value in self._start[scene])

@@ -17,7 +17,7 @@ from mixo_env.envs.opening import prepared
 from mixo_env.envs.replay import Replay
 from mixo_env.envs.reward import Reward, fit_linear
 from mixo_env.envs.settings import Settings
-from mixo_env.envs.stepping import REPORT, RULES, TRUTH, play
+from mixo_env.envs.stepping import REPORT, RULES, TRUTH, step
 from mixo_env.envs.tables import choose_experts
 from mixo_env.errors import ConfigurationError, RecordingError, unknown
 from mixo_env.recordings.collection import Recordings
@@ -140,7 +140,7 @@ class Session:
             scenes = rng.integers(len(self.recordings), size=len(which))
         self.replay.restart(which, scenes, pause=pause)
 
-    def play(self, actions: NDArray[np.float32]) -> tuple[Observation, NDArray[np.float64], int]:
+    def step(self, actions: NDArray[np.float32]) -> tuple[Observation, NDArray[np.float64], int]:
         """One step of every scene that has not ended and is not paused.
 
         Args:
@@ -156,7 +156,7 @@ class Session:
         voting = self.replay.voting if self._keep_trajectories else None
         report = np.empty(self._report_shape)
         flat = np.empty(self._flat_shape, np.float32)
-        ended = play(actions, report, flat, self._rules, *self.replay.compiled)
+        ended = step(actions, report, flat, self._rules, *self.replay.compiled)
         if ended < 0:
             self.rule.complain(actions)
         if voting is not None:
@@ -227,7 +227,7 @@ class Session:
         return flat
 
     def _compiled_rules(self) -> NDArray[Any]:
-        """The options as :func:`~mixo_env.envs.stepping.play` reads them."""
+        """The options as :func:`~mixo_env.envs.stepping.step` reads them."""
         replay, rule, reward = self.replay, self.rule, self.reward
         rules = np.zeros(1, RULES)
         rules[0] = (

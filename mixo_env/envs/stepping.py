@@ -1,6 +1,6 @@
 """The inner loop, compiled: one function per stage of a step, over a batch of scenes.
 
-A step reads from top to bottom in :func:`play`: actions become scores, scores mix the experts (eq. 3), yaw (eq. 4) and
+A step reads from top to bottom in :func:`step`: actions become scores, scores mix the experts (eq. 3), yaw (eq. 4) and
 position (eq. 1) are integrated, errors become rewards, and the next observation is copied out. Powers of e and small
 rotations are Taylor series: exact to the last bits, faster than the C library, and the same bits on every machine.
 """
@@ -264,7 +264,7 @@ def look(out: Any, state: Any, context: Any, fused: bool, limit: float) -> None:
 
 
 @compiled
-def play(
+def step(
     actions: Any,
     report: Any,
     out: Any,

@@ -11,7 +11,7 @@ from mixo_env.errors import ConfigurationError, PolicyError, unknown
 from mixo_env.leaderboard.comparisons import Comparisons
 from mixo_env.leaderboard.conditions import Group, groups_of
 from mixo_env.leaderboard.crossvalidation import CrossValidation, GroundTruth, Run
-from mixo_env.leaderboard.evaluation import FLOORS, Course, noisy_truth
+from mixo_env.leaderboard.evaluation import FLOORS, Truth, noisy_truth
 from mixo_env.leaderboard.noise import NOISE_FLOOR
 from mixo_env.leaderboard.rows import Row, Scorer
 from mixo_env.policies.linear import Linear
@@ -25,8 +25,8 @@ RANKING_LOGS = 10
 
 
 @dataclass(frozen=True)
-class Table:
-    """One track.
+class Standings:
+    """The rows of one track and what stands with them.
 
     Attributes:
         track: its name.
@@ -60,23 +60,23 @@ class Table:
 
 @dataclass(frozen=True)
 class Leaderboard:
-    """All tables and what they rest on.
+    """The standings of every track and what they rest on.
 
     Attributes:
-        tables: one per track.
+        standings: one a track.
         policies: names of the rows that were asked for.
         protocol: recordings, folds and seed.
-        courses: the truths the scores refer to, the headline's first.
+        truths: those the scores refer to, by name, the headline's first.
         noise_floor: headline error [deg/m] that the truth's own noise makes; 0 for exact truth, and where no gyro
             tells the noise.
         night: the same for the scenes that are in no fold, by policies that learned from all folds; ``None`` without
             such scenes.
     """
 
-    tables: tuple[Table, ...]
+    standings: tuple[Standings, ...]
     policies: tuple[str, ...]
     protocol: CrossValidation
-    courses: Mapping[str, Course]
+    truths: Mapping[str, Truth]
     noise_floor: float
     night: Leaderboard | None = None
 
@@ -88,7 +88,7 @@ class Leaderboard:
     @property
     def headline(self) -> str:
         """The truth of the headline."""
-        return next(iter(self.courses))
+        return next(iter(self.truths))
 
     @property
     def logs(self) -> int:
@@ -139,9 +139,9 @@ def build(
         )
         quick = [name for name in chosen if not protocol.expensive(name)]
         dark = Builder(nights, lambda text: progress(f"night, {text}"), everything).board(
-            tracks or recordings.tables, quick
+            tracks or recordings.distinct_tracks, quick
         )
-    return day.board(tracks or recordings.tables, chosen, dark)
+    return day.board(tracks or recordings.distinct_tracks, chosen, dark)
 
 
 def requested(
@@ -178,7 +178,7 @@ def choose(asked: Sequence[str], valid: Sequence[str]) -> tuple[str, ...]:
 
 
 class Builder:
-    """Builds the tables of one protocol.
+    """Builds the standings of one protocol.
 
     Args:
         protocol: scenes, folds, seeds.
@@ -187,27 +187,27 @@ class Builder:
     """
 
     def __init__(self, protocol: CrossValidation, progress: Callable[[str], None], lenient: bool) -> None:
-        """Lay out the courses."""
+        """Prepare the truths."""
         self._protocol, self._progress, self._lenient = protocol, progress, lenient
-        self._courses = {truth: Course(protocol.recordings, truth) for truth in protocol.truths}
+        self._truths = {truth: Truth(protocol.recordings, truth) for truth in protocol.truths}
         headline = protocol.truths[0]
         self._floor = 0.0
         self._noisy = headline != "exact" and "INERTIAL" in protocol.recordings.manifest.inertial
         if self._noisy:
-            noisy = self._courses[headline].measure(noisy_truth(protocol.recordings))
+            noisy = self._truths[headline].measure(noisy_truth(protocol.recordings))
             samples = noisy.relative.rotation_deg_per_m
             self._floor = float(samples.mean()) if len(samples) else 0.0
-        self._scorer = Scorer(protocol.recordings, self._courses, self._floor, protocol.seed)
+        self._scorer = Scorer(protocol.recordings, self._truths, self._floor, protocol.seed)
 
     def board(
         self, tracks: Sequence[str] | Mapping[str, object], chosen: Sequence[str], night: Leaderboard | None = None
     ) -> Leaderboard:
-        """A table for every track."""
+        """Standings for every track."""
         shown = tuple(name for name in chosen if name != NOISE_FLOOR or self._noisy)
-        tables = tuple(self._table(track, shown) for track in tracks)
-        return Leaderboard(tables, shown, self._protocol, self._courses, self._floor, night)
+        standings = tuple(self._standings(track, shown) for track in tracks)
+        return Leaderboard(standings, shown, self._protocol, self._truths, self._floor, night)
 
-    def _table(self, track: str, chosen: Sequence[str]) -> Table:
+    def _standings(self, track: str, chosen: Sequence[str]) -> Standings:
         """Rows tested everywhere, and apart from them those tested on one fold, beside the other learned ones."""
         runs: list[Run] = []
         left_out: dict[str, str] = {}
@@ -228,7 +228,7 @@ class Builder:
             scenes = np.array([scene.fold == one_fold for scene in self._protocol.recordings.scenes])
             part = tuple(self._scorer.restrict(row, scenes) for row in rows if row.run.learns)
         recordings = self._protocol.recordings
-        return Table(
+        return Standings(
             track=track,
             rows=whole,
             comparisons=self._scorer.compare(whole),

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from mixo_env.errors import ConfigurationError, PolicyError, unknown
 from mixo_env.leaderboard.checks import check_complete
-from mixo_env.leaderboard.evaluation import FLOORS, Motion, rollout, with_wheels
+from mixo_env.leaderboard.evaluation import FLOORS, Travel, rollout, with_wheels
 from mixo_env.policies.fitting import drives, prepare
 from mixo_env.policies.outside import make_policy
 from mixo_env.policies.policy import Policy
@@ -41,7 +41,7 @@ class Run:
         name: of the policy or floor.
         privileged: it reads ground truth.
         learns: it was fitted on training scenes.
-        motions: truth -> motions over all scenes, one a seed; without any turn in scenes not tested. A privileged row
+        travels: truth -> travels over all scenes, one a seed; without any turn in scenes not tested. A privileged row
             chooses by the truth that scores it, others move the same whatever the truth.
         tested: ``(scenes,)``.
         policies: the fitted policy of the first seed for every fold it was tested on; empty for floors.
@@ -50,14 +50,14 @@ class Run:
     name: str
     privileged: bool
     learns: bool
-    motions: Mapping[str, tuple[Motion, ...]]
+    travels: Mapping[str, tuple[Travel, ...]]
     tested: NDArray[np.bool_]
     policies: dict[int, Policy]
 
     @property
-    def motion(self) -> Motion:
+    def travel(self) -> Travel:
         """That of the first seed, as the headline's truth has it."""
-        return next(iter(self.motions.values()))[0]
+        return next(iter(self.travels.values()))[0]
 
 
 class CrossValidation:
@@ -174,8 +174,8 @@ class CrossValidation:
         """
         everything = np.ones(len(self.recordings), dtype=np.bool_)
         if name in FLOORS:
-            motions = {truth: (FLOORS[name](with_truth(self.recordings, truth)),) for truth in self.truths}
-            return Run(name, True, False, motions, everything, {})
+            travels = {truth: (FLOORS[name](with_truth(self.recordings, truth)),) for truth in self.truths}
+            return Run(name, True, False, travels, everything, {})
         policy = self._create(name)
         # Asked once: what is shown to a policy and what the table says of it must be the same.
         learns, privileged = bool(policy.learns), bool(policy.privileged)
@@ -206,16 +206,16 @@ class CrossValidation:
                 policy = self._create(name)
                 policies.setdefault(fold, policy)
                 prepare(policy, self.training(fold), track, seed=self._seed_of(fold, k))
-                for truth, (motion,) in self._play(policy, scenes, track, privileged).items():
-                    increments[truth][k, here[scene_of_row]] = motion.yaw_increment_rad
-        motions = {
+                for truth, (travel,) in self._play(policy, scenes, track, privileged).items():
+                    increments[truth][k, here[scene_of_row]] = travel.yaw_increment_rad
+        travels = {
             truth: tuple(with_wheels(self.recordings, of_seed) for of_seed in values)
             for truth, values in increments.items()
         }
-        return Run(name, privileged, True, motions, tested, policies)
+        return Run(name, privileged, True, travels, tested, policies)
 
-    def _play(self, policy: Policy, scenes: Recordings, track: str, privileged: bool) -> dict[str, tuple[Motion]]:
-        """Its motion for every truth; a policy that does not read it is played once."""
+    def _play(self, policy: Policy, scenes: Recordings, track: str, privileged: bool) -> dict[str, tuple[Travel]]:
+        """Its travel for every truth; a policy that does not read it is played once."""
         if privileged:
             return {
                 truth: (rollout(policy, with_truth(scenes, truth), track, privileged=True),) for truth in self.truths

@@ -31,8 +31,8 @@ FloatArray = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Motion:
-    """Estimated motion of all scenes of a recording, flat like its columns; row 0 of a scene holds NaN.
+class Travel:
+    """Estimated travel of all scenes of a recording, flat like its columns; row 0 of a scene holds NaN.
 
     Attributes:
         yaw_increment_rad, distance_m: ``(rows,)``.
@@ -44,7 +44,7 @@ class Motion:
     course_offset_rad: FloatArray
 
 
-def rollout(policy: Policy, recordings: Recordings, track: str, *, privileged: bool = False) -> Motion:
+def rollout(policy: Policy, recordings: Recordings, track: str, *, privileged: bool = False) -> Travel:
     """Play a fitted policy through every scene at once, step by step, feeding back its own fused yaw rate.
 
     Args:
@@ -66,21 +66,21 @@ def rollout(policy: Policy, recordings: Recordings, track: str, *, privileged: b
     return with_wheels(recordings, increments)
 
 
-def with_wheels(recordings: Recordings, yaw_increment_rad: FloatArray) -> Motion:
-    """Motion of the given yaw and the recorded wheel distance, with each vehicle's constants."""
+def with_wheels(recordings: Recordings, yaw_increment_rad: FloatArray) -> Travel:
+    """Travel with the given yaw and the recorded wheel distance, with each vehicle's constants."""
     vehicles = recordings.manifest.vehicles
     constants = [vehicles.get(scene.vehicle, VehicleConstants()) for scene in recordings.scenes]
     rows = np.diff(recordings.offsets)
     course_offset = np.repeat([vehicle.course_offset_rad for vehicle in constants], rows)
-    return Motion(yaw_increment_rad, travelled_m(recordings), course_offset)
+    return Travel(yaw_increment_rad, travelled_m(recordings), course_offset)
 
 
-def perfect_yaw(recordings: Recordings) -> Motion:
+def perfect_yaw(recordings: Recordings) -> Travel:
     """Privileged floor: true yaw, wheel distance. What is left is no fault of any yaw estimate."""
     return with_wheels(recordings, recordings["truth.yaw_increment_rad"])
 
 
-def noisy_truth(recordings: Recordings) -> Motion:
+def noisy_truth(recordings: Recordings) -> Travel:
     """Privileged floor: the true yaw seen through the estimated noise of the truth itself, wheel distance.
 
     An exact estimate would score about as much against poses of this noise; below it nothing is a win.
@@ -89,7 +89,7 @@ def noisy_truth(recordings: Recordings) -> Motion:
     return with_wheels(recordings, recordings["truth.yaw_increment_rad"] + np.diff(noise, prepend=0.0))
 
 
-def perfect_yaw_and_distance(recordings: Recordings) -> Motion:
+def perfect_yaw_and_distance(recordings: Recordings) -> Travel:
     """Privileged floor: true yaw and distance. What is left is the direction of travel: eq. 1 assumes the heading."""
     return replace(perfect_yaw(recordings), distance_m=recordings["truth.distance_m"])
 
@@ -98,15 +98,15 @@ FLOORS = {"PERFECT YAW": perfect_yaw, "PERFECT YAW + TRUE DISTANCE": perfect_yaw
 """Privileged rows that stand in every table; they choose no weights, so they are no policies."""
 
 
-def poses(motion: Motion, start: PlanarPoses, offsets: NDArray[np.int64]) -> PlanarPoses:
+def poses(travel: Travel, start: PlanarPoses, offsets: NDArray[np.int64]) -> PlanarPoses:
     """Dead reckoning (eqs. 4 and 1) of every scene from its first true pose."""
     out = PlanarPoses(*(np.empty(offsets[-1]) for _ in range(3)))
     for first, stop in itertools.pairwise(offsets.tolist()):
         x, y, yaw = dead_reckon(
-            motion.yaw_increment_rad[first + 1 : stop],
-            motion.distance_m[first + 1 : stop],
+            travel.yaw_increment_rad[first + 1 : stop],
+            travel.distance_m[first + 1 : stop],
             start=(float(start.x_m[first]), float(start.y_m[first]), float(start.yaw_rad[first])),
-            course_offset_rad=float(motion.course_offset_rad[first]),
+            course_offset_rad=float(travel.course_offset_rad[first]),
         )
         out.x_m[first:stop], out.y_m[first:stop], out.yaw_rad[first:stop] = x, y, yaw
     return out
@@ -114,7 +114,7 @@ def poses(motion: Motion, start: PlanarPoses, offsets: NDArray[np.int64]) -> Pla
 
 @dataclass(frozen=True)
 class Errors:
-    """Everything measured about one motion on all scenes; scores are statistics of it.
+    """Everything measured about one travel on all scenes; scores are statistics of it.
 
     Attributes:
         absolute: RMSE of every scene.
@@ -154,11 +154,11 @@ def mean_errors(runs: Sequence[Errors]) -> Errors:
     )
 
 
-class Course:
-    """The true way through every scene, and the pieces of path on which every motion is compared."""
+class Truth:
+    """The true way through every scene, and the pieces of path on which every travel is compared."""
 
     def __init__(self, recordings: Recordings, truth: str = "truth", rule: PairRule | None = None) -> None:
-        """Prepare one of the truths of ``recordings``; ``rule`` chooses the pieces of path (default: headline's)."""
+        """Prepare one of those of ``recordings``; ``rule`` chooses the pieces of path (default: headline's)."""
         self.offsets = recordings.offsets
         x, y, yaw = (recordings[f"{truth}.{name}"].astype(np.float64) for name in ("x_m", "y_m", "yaw_rad"))
         self.poses = PlanarPoses(x, y, yaw)
@@ -181,10 +181,10 @@ class Course:
         scenes = {length: self.pairs.scene[self.pairs.length_m == length] for length in self.pairs.lengths_m}
         return {length: (len(scene), len(np.unique(scene))) for length, scene in scenes.items()}
 
-    def measure(self, motion: Motion) -> Errors:
-        """Errors of a motion that covers every scene, integrated from the true first poses, without alignment."""
-        true, estimate = self.poses, poses(motion, self.poses, self.offsets)
-        yaw_error = np.degrees(motion.yaw_increment_rad - self._increments)
+    def measure(self, travel: Travel) -> Errors:
+        """Errors of a travel that covers every scene, integrated from the true first poses, without alignment."""
+        true, estimate = self.poses, poses(travel, self.poses, self.offsets)
+        yaw_error = np.degrees(travel.yaw_increment_rad - self._increments)
         steps = np.diff(self.offsets) - 1
         return Errors(
             absolute=scene_absolute(absolute_errors_se2(true, estimate), self.offsets),

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixo_env.geometry import FloatArray
-from mixo_env.leaderboard.board import Leaderboard, Table
+from mixo_env.leaderboard.board import Leaderboard, Standings
 from mixo_env.leaderboard.comparisons import Comparison, Comparisons
 from mixo_env.leaderboard.firing_order import firing_order
 from mixo_env.leaderboard.rows import Row
@@ -41,20 +41,20 @@ def to_json(board: Leaderboard) -> dict[str, Any]:
         "firing_order": order and _plain(asdict(order) | {"cost_deg": order.cost_deg}),
         "lengths": [
             {"length_m": length, "samples": samples, "scenes": scenes}
-            for length, (samples, scenes) in board.courses[board.headline].pieces().items()
+            for length, (samples, scenes) in board.truths[board.headline].pieces().items()
         ],
-        "tracks": {table.track: _table_json(table) for table in board.tables},
+        "tracks": {standings.track: _table_json(standings) for standings in board.standings},
         "night": board.night and to_json(board.night),
     }
 
 
-def _table_json(table: Table) -> dict[str, Any]:
+def _table_json(standings: Standings) -> dict[str, Any]:
     return {
-        "rows": [_row_json(row) for row in table.rows],
-        "comparisons": _comparisons_json(table.comparisons),
-        "one_fold": table.one_fold,
-        "one_fold_rows": [_row_json(row) for row in table.one_fold_rows],
-        "one_fold_comparisons": _comparisons_json(table.one_fold_comparisons),
+        "rows": [_row_json(row) for row in standings.rows],
+        "comparisons": _comparisons_json(standings.comparisons),
+        "one_fold": standings.one_fold,
+        "one_fold_rows": [_row_json(row) for row in standings.one_fold_rows],
+        "one_fold_comparisons": _comparisons_json(standings.one_fold_comparisons),
         "groups": [
             {
                 "by": group.by,
@@ -62,10 +62,10 @@ def _table_json(table: Table) -> dict[str, Any]:
                 "rows": [_row_json(row) for row in group.rows],
                 "letters": dict(group.comparisons.letters),
             }
-            for group in table.groups
+            for group in standings.groups
         ],
-        "linear_weights": {str(fold): weights for fold, weights in table.linear_weights().items()},
-        "left_out": table.left_out,
+        "linear_weights": {str(fold): weights for fold, weights in standings.linear_weights().items()},
+        "left_out": standings.left_out,
     }
 
 
@@ -88,9 +88,9 @@ def to_csv(board: Leaderboard) -> str:
         ]
     )
     entries = board.recordings.scenes
-    for table in board.tables:
-        tested_in_part = [row for row in table.one_fold_rows if row.name not in {r.name for r in table.rows}]
-        for row in (*table.rows, *tested_in_part):
+    for standings in board.standings:
+        tested_in_part = [row for row in standings.one_fold_rows if row.name not in {r.name for r in standings.rows}]
+        for row in (*standings.rows, *tested_in_part):
             for truth, errors in row.errors.items():
                 translation, rotation, samples = _scene_means(errors.relative, len(entries))
                 for i in np.flatnonzero(row.run.tested):
@@ -103,7 +103,7 @@ def to_csv(board: Leaderboard) -> str:
                         np.sqrt(errors.squared_yaw_increment_deg2[i] / errors.steps[i]),
                         row.lost.counts[i] if row.lost else "",
                     )
-                    names = (table.track, row.name, int(row.run.privileged), truth, entries[i].name, entries[i].log)
+                    names = (standings.track, row.name, int(row.run.privileged), truth, entries[i].name, entries[i].log)
                     writer.writerow([*map(csv_cell, names), entries[i].fold, *numbers])
     return text.getvalue()
 

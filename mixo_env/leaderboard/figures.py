@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from mixo_env.experts.expert import State
 from mixo_env.files import atomic_path
-from mixo_env.leaderboard.board import Leaderboard, Table
+from mixo_env.leaderboard.board import Leaderboard, Standings
 from mixo_env.leaderboard.evaluation import poses
 from mixo_env.leaderboard.rows import Row
 from mixo_env.trajectory.planar import PlanarPoses
@@ -51,8 +51,8 @@ def draw_trajectories(board: Leaderboard, path: Path) -> None:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    table = next((table for table in board.tables if table.track == PREFERRED_TRACK), board.tables[0])
-    rows = shown_rows(board, table)
+    standings = next((one for one in board.standings if one.track == PREFERRED_TRACK), board.standings[0])
+    rows = shown_rows(board, standings)
     scenes = _most_winding_of_different_logs(board, rows)
     manifest = board.recordings.manifest
     cameras = [camera for camera in manifest.cameras or manifest.imported if f"{camera}.state" in board.recordings]
@@ -60,20 +60,20 @@ def draw_trajectories(board: Leaderboard, path: Path) -> None:
     FigureCanvasAgg(figure)
     lanes = 0.35 + 0.22 * len(cameras)
     axes: Any = figure.subplots(3, len(scenes), squeeze=False, height_ratios=(3.4, 2.6, lanes))
-    course = board.courses[board.headline]
+    truth = board.truths[board.headline]
     styles = _styles(rows)
-    motions = [(row, poses(row.run.motion, course.poses, course.offsets)) for row in rows]
+    travels = [(row, poses(row.run.travel, truth.poses, truth.offsets)) for row in rows]
     for column, scene in enumerate(scenes):
-        steps = slice(*course.offsets[scene : scene + 2])
+        steps = slice(*truth.offsets[scene : scene + 2])
         above, middle, below = axes[:, column]
         entry = board.recordings.scenes[scene]
-        way_m = course.travelled_m[steps]
-        above.plot(*_from_start(course.poses, course.poses, steps), color="black", linewidth=3.0, alpha=0.35)
-        for row, estimate in motions:
+        way_m = truth.travelled_m[steps]
+        above.plot(*_from_start(truth.poses, truth.poses, steps), color="black", linewidth=3.0, alpha=0.35)
+        for row, estimate in travels:
             if not row.run.tested[scene]:
                 continue
-            above.plot(*_from_start(estimate, course.poses, steps), **styles[row.name])
-            error = np.hypot(estimate.x_m - course.poses.x_m, estimate.y_m - course.poses.y_m)[steps]
+            above.plot(*_from_start(estimate, truth.poses, steps), **styles[row.name])
+            error = np.hypot(estimate.x_m - truth.poses.x_m, estimate.y_m - truth.poses.y_m)[steps]
             middle.plot(way_m, error, **styles[row.name])
         _draw_lost(below, board, cameras, steps, way_m)
         above.set_title(f"{entry.name}\n{entry.log}", fontsize=8)
@@ -93,15 +93,15 @@ def draw_trajectories(board: Leaderboard, path: Path) -> None:
     axes[0, 0].set_ylabel("forward [m]", fontsize=8)
     axes[1, 0].set_ylabel("position error [m], square-root scale", fontsize=8)
     _legend(figure, rows, styles)
-    figure.suptitle(_title(board, table), fontsize=9)
+    figure.suptitle(_title(board, standings), fontsize=9)
     with atomic_path(path) as part:
         figure.savefig(part, format="png", dpi=110, metadata={"Software": None})
 
 
-def shown_rows(board: Leaderboard, table: Table) -> list[Row]:
+def shown_rows(board: Leaderboard, standings: Standings) -> list[Row]:
     """The rows to draw: all of them, or of too many the preferred ones, then imported experts, then the rest."""
-    rows = {row.name: row for row in (*table.one_fold_rows, *table.rows)}
-    order = [row.name for row in table.rows] + [row.name for row in table.one_fold_rows]
+    rows = {row.name: row for row in (*standings.one_fold_rows, *standings.rows)}
+    order = [row.name for row in standings.rows] + [row.name for row in standings.one_fold_rows]
     order = list(dict.fromkeys(order))
     if len(order) > MOST_ROWS:
         first = [name for name in (*PREFERRED, *board.recordings.manifest.imported) if name in rows]
@@ -146,9 +146,9 @@ def _draw_lost(panel: Any, board: Leaderboard, cameras: list[str], steps: slice,
     panel.set_yticks(range(len(cameras)), [camera.removeprefix("CAM_").lower() + " lost" for camera in cameras])
 
 
-def _title(board: Leaderboard, table: Table) -> str:
+def _title(board: Leaderboard, standings: Standings) -> str:
     return (
-        f"Track {table.track}, data {board.recordings.manifest.data_version}, seed {board.protocol.seed}; "
+        f"Track {standings.track}, data {board.recordings.manifest.data_version}, seed {board.protocol.seed}; "
         "no alignment, the first pose is the truth's; learned policies on scenes they have not seen"
     )
 
@@ -158,8 +158,8 @@ def _most_winding_of_different_logs(board: Leaderboard, rows: list[Row]) -> list
 
     Scenes on which all ``rows`` were tested come first.
     """
-    course, entries = board.courses[board.headline], board.recordings.scenes
-    turned = np.array([np.ptp(course.poses.yaw_rad[first:stop]) for first, stop in itertools.pairwise(course.offsets)])
+    truth, entries = board.truths[board.headline], board.recordings.scenes
+    turned = np.array([np.ptp(truth.poses.yaw_rad[first:stop]) for first, stop in itertools.pairwise(truth.offsets)])
     everywhere = np.all([row.run.tested for row in rows], axis=0) if rows else np.ones(len(entries), np.bool_)
     order = np.lexsort((-turned, ~everywhere)).tolist()
     first_of_log = {entries[i].log: i for i in reversed(order)}

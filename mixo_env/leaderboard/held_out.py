@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from mixo_env.leaderboard.crossvalidation import CrossValidation, Run
-from mixo_env.leaderboard.evaluation import Course, Motion
+from mixo_env.leaderboard.evaluation import Travel, Truth
 from mixo_env.leaderboard.report import cells, sections
 from mixo_env.leaderboard.rows import Scorer
 from mixo_env.policies.policy import Policy
@@ -33,21 +33,21 @@ def hold_out(recordings: Recordings, fold: int, *, seed: int = 0) -> tuple[Recor
     return division.training(fold), with_truth(test, truths_of(test)[0])
 
 
-def table_of(test: Recordings, track: str, motions: Mapping[Policy, Motion], *, seed: int = 0) -> str:
+def table_of(test: Recordings, track: str, travels: Mapping[Policy, Travel], *, seed: int = 0) -> str:
     """A row for every policy that was played, with its paired difference to LINEAR when that is among them.
 
     Args:
         test: the scenes that all of them were played on, as :func:`hold_out` gave them.
         track: whose experts voted.
-        motions: policy -> what :func:`~mixo_env.leaderboard.evaluation.rollout` returned.
+        travels: policy -> what :func:`~mixo_env.leaderboard.evaluation.rollout` returned.
         seed: of bootstrap and sign patterns.
     """
     # Against the headline's truth alone, which `hold_out` has put in the place of the others.
-    scorer = Scorer(test, {"truth": Course(test)}, floor=0.0, seed=seed)
+    scorer = Scorer(test, {"truth": Truth(test)}, floor=0.0, seed=seed)
     everything = np.ones(len(test), dtype=np.bool_)
     rows = [
-        scorer.row(track, Run(policy.name, policy.privileged, policy.learns, {"truth": (motion,)}, everything, {}))
-        for policy, motion in motions.items()
+        scorer.row(track, Run(policy.name, policy.privileged, policy.learns, {"truth": (travel,)}, everything, {}))
+        for policy, travel in travels.items()
     ]
     comparisons = scorer.compare(rows)
     texts = [cells(row, comparisons) for section in sections(rows) for row in section]

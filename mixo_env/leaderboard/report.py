@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import shutil
 import sys
+import textwrap
 from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
 
-from mixo_env.leaderboard.board import Leaderboard, Table
+from mixo_env.leaderboard.board import Leaderboard, Standings
 from mixo_env.leaderboard.comparisons import REFERENCES, Comparisons
 from mixo_env.leaderboard.conditions import Grouping
 from mixo_env.leaderboard.rows import Row
@@ -24,8 +26,7 @@ from mixo_env.leaderboard.sentences import (
     title,
 )
 from mixo_env.metrics.bootstrap import Interval
-from mixo_env.tables import Column
-from mixo_env.tables import Table as TextTable
+from mixo_env.tables import Column, Table
 
 DIFFERENCES = tuple(f"- {reference}" for reference in REFERENCES)
 COLUMNS = (
@@ -40,6 +41,8 @@ COLUMNS = (
     "yaw deg",
     "> 0.5 m",
 )
+SCORES = ("policy", "RTE deg/m", "RTE %", "ATE m", "ATE deg", "yaw deg")
+"""A row in short: errors without comparisons."""
 WRITTEN_COLUMN = "written deg/m"
 LEAST_COLUMNS = ("policy", "RTE deg/m", "letters", DIFFERENCES[0])
 """Shown however narrow the terminal is; long names of rows then wrap."""
@@ -77,7 +80,7 @@ def sections(rows: Sequence[Row], sort: Order = "table") -> list[list[Row]]:
 
 def columns_of(board: Leaderboard) -> tuple[str, ...]:
     """All columns; raw poses have one of their own unless they are the headline."""
-    return (*COLUMNS, WRITTEN_COLUMN) if len(board.courses) > 1 else COLUMNS
+    return (*COLUMNS, WRITTEN_COLUMN) if len(board.truths) > 1 else COLUMNS
 
 
 def cells(row: Row, comparisons: Comparisons) -> dict[str, str]:
@@ -101,21 +104,25 @@ def cells(row: Row, comparisons: Comparisons) -> dict[str, str]:
     return line
 
 
-def parts(board: Leaderboard, table: Table, by: Sequence[Grouping]) -> list[tuple[str, Sequence[Row], Comparisons]]:
+def parts(
+    board: Leaderboard, standings: Standings, by: Sequence[Grouping]
+) -> list[tuple[str, Sequence[Row], Comparisons]]:
     """Caption, rows and comparisons of every table of one track that has rows."""
-    found = [(title(table, board.recordings.manifest), table.rows, table.comparisons)]
+    found = [(title(standings, board.recordings.manifest), standings.rows, standings.comparisons)]
     distance = distance_words(board.recordings.manifest)
-    one_fold = f"{table.track}, learned policies on fold {table.one_fold} alone{distance}"
-    found.append((one_fold, table.one_fold_rows, table.one_fold_comparisons))
-    for group in table.groups:
+    one_fold = f"{standings.track}, learned policies on fold {standings.one_fold} alone{distance}"
+    found.append((one_fold, standings.one_fold_rows, standings.one_fold_comparisons))
+    for group in standings.groups:
         if group.by in by:
             scenes = count_of(int(group.rows[0].run.tested.sum()), "scene")
             name = group.name.replace("_", " ")
-            found.append((f"{table.track}, {group.by} {name}: {scenes}{distance}", group.rows, group.comparisons))
+            found.append((f"{standings.track}, {group.by} {name}: {scenes}{distance}", group.rows, group.comparisons))
     if board.night and "condition" in by:
-        night = next(other for other in board.night.tables if other.track == table.track)
+        night = next(other for other in board.night.standings if other.track == standings.track)
         size = f"{count_of(len(board.night.recordings), 'scene')} of {count_of(board.night.logs, 'log')}"
-        found.append((f"{table.track}, night (out of distribution): {size}{distance}", night.rows, night.comparisons))
+        found.append(
+            (f"{standings.track}, night (out of distribution): {size}{distance}", night.rows, night.comparisons)
+        )
     return [part for part in found if part[1]]
 
 
@@ -123,34 +130,35 @@ def to_markdown(board: Leaderboard, *, sort: Order = "table", by: Sequence[Group
     """All tables with their conventions, and the one-fold comparison below each."""
     columns = columns_of(board)
     blocks = ["# MixoOdometry leaderboard", "\n".join(f"* {line}" for line in conventions(board)), LEGEND]
-    for table in board.tables:
-        for i, (caption, rows, comparisons) in enumerate(parts(board, table, by)):
-            texts = [cells(row, comparisons) for section in sections(rows, sort) for row in section]
-            lines = [[text[column] for column in columns] for text in texts]
-            caption = f"{'###' if i else '##'} {caption}"
-            blocks.append(TextTable(caption, tuple(map(Column, columns)), lines).markdown())
-        blocks += notes(table)
+    for standings in board.standings:
+        for i, (caption, rows, comparisons) in enumerate(parts(board, standings, by)):
+            heading = f"{'###' if i else '##'} {caption}"
+            blocks.append(_table(heading, sections(rows, sort), comparisons, columns).markdown())
+        blocks += notes(standings)
     return "\n\n".join(blocks) + "\n"
 
 
 def print_leaderboard(board: Leaderboard, *, sort: Order = "table", by: Sequence[Grouping] = ()) -> None:
     """The same on the terminal; a narrow one leaves out the last columns, which the files keep, but no interval."""
-    from rich.console import Console
-
-    console = Console(highlight=False, width=None if sys.stdout.isatty() else WIDE)
-    shown = {table.track: parts(board, table, by) for table in board.tables}
+    width = shutil.get_terminal_size().columns if sys.stdout.isatty() else WIDE
+    shown = {standings.track: parts(board, standings, by) for standings in board.standings}
     every = [cells(row, comparisons) for some in shown.values() for _, rows, comparisons in some for row in rows]
-    columns = fitting(columns_of(board), every, console.width)
-    for table in board.tables:
-        for caption, rows, comparisons in shown[table.track]:
-            console.print(_rich_table(caption, sections(rows, sort), comparisons, columns))
-        for line in notes(table):
-            console.print(line, markup=False)
-        console.print()
+    columns = fitting(columns_of(board), every, width)
+    for standings in board.standings:
+        for caption, rows, comparisons in shown[standings.track]:
+            print(_table(caption, sections(rows, sort), comparisons, columns).text(width))
+        for line in notes(standings):
+            print(textwrap.fill(line, width))
+        print()
     if left_out := [column for column in columns_of(board) if column not in columns]:
-        console.print(f"For want of width without {', '.join(left_out)}: see leaderboard.md.", markup=False)
+        print(textwrap.fill(f"For want of width without {', '.join(left_out)}: see leaderboard.md.", width))
     for line in (*conventions(board), LEGEND):
-        console.print(line, markup=False)
+        print(textwrap.fill(line, width))
+
+
+def scores_table(standings: Standings) -> Table:
+    """The errors of every row of a track, without the conventions and comparisons of the whole leaderboard."""
+    return _table(f"Track {standings.track}", sections(standings.rows), standings.comparisons, SCORES)
 
 
 def fitting(columns: Sequence[str], lines: Sequence[Mapping[str, str]], width: int) -> tuple[str, ...]:
@@ -168,15 +176,7 @@ def _interval(value: Interval, digits: int, with_ends: bool) -> str:
     return f"{value.mean:.{digits}f}{ends}"
 
 
-def _rich_table(caption: str, groups: Sequence[Sequence[Row]], comparisons: Comparisons, columns: Sequence[str]) -> Any:
-    from rich import box
-    from rich.table import Table as RichTable
-
-    table = RichTable(title=caption, title_justify="left", box=box.SIMPLE_HEAD, pad_edge=False, padding=(0, 0, 0, 1))
-    for column in columns:
-        table.add_column(column, justify="left" if column == "policy" else "right", no_wrap=column != "policy")
-    for group in groups:
-        for row in group:
-            texts = cells(row, comparisons)
-            table.add_row(*(texts[column] for column in columns), end_section=row is group[-1])
-    return table
+def _table(caption: str, groups: Sequence[Sequence[Row]], comparisons: Comparisons, columns: Sequence[str]) -> Table:
+    texts = [cells(row, comparisons) for group in groups for row in group]
+    lines = [[text[column] for column in columns] for text in texts]
+    return Table(caption, tuple(map(Column, columns)), lines, tuple(np.cumsum([len(group) for group in groups[:-1]])))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from mixo_env.leaderboard.comparisons import Comparisons, compare_rows
 from mixo_env.leaderboard.crossvalidation import Run
-from mixo_env.leaderboard.evaluation import Course, Errors, lost_tracks, mean_errors
+from mixo_env.leaderboard.evaluation import Errors, Truth, lost_tracks, mean_errors
 from mixo_env.metrics.aggregate import share_above
 from mixo_env.metrics.bootstrap import Interval, interval_over_groups
 from mixo_env.metrics.tracks import LostTracks
@@ -80,15 +80,15 @@ class Scorer:
 
     Args:
         recordings: the tested scenes.
-        courses: truth -> course, the headline first.
+        truths: by name, the headline first.
         floor: headline error [deg/m] that the truth's own noise makes; 0 for exact truth.
         seed: of bootstrap and sign patterns.
     """
 
-    def __init__(self, recordings: Recordings, courses: Mapping[str, Course], floor: float, seed: int) -> None:
+    def __init__(self, recordings: Recordings, truths: Mapping[str, Truth], floor: float, seed: int) -> None:
         """Remember what every row shares."""
         self._recordings = recordings
-        self._courses = courses
+        self._truths = truths
         self._floor = floor
         self._seed = seed
         self._logs = np.unique([scene.log for scene in recordings.scenes], return_inverse=True)[1]
@@ -96,8 +96,8 @@ class Scorer:
     def row(self, track: str, run: Run) -> Row:
         """Measure a run against every truth."""
         errors = {
-            truth: mean_errors([course.measure(motion) for motion in run.motions[truth]])
-            for truth, course in self._courses.items()
+            name: mean_errors([truth.measure(travel) for travel in run.travels[name]])
+            for name, truth in self._truths.items()
         }
         scores = {truth: self.score(measured, run.tested) for truth, measured in errors.items()}
         recordings, alone = as_variant(self._recordings, run.name), variants(self._recordings).get(run.name, run.name)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from mixo_env.leaderboard.board import RANKING_LOGS, Leaderboard, Table
+from mixo_env.leaderboard.board import RANKING_LOGS, Leaderboard, Standings
 from mixo_env.leaderboard.checks import silent_experts
 from mixo_env.leaderboard.comparisons import CONFIRMATORY, Comparison, Comparisons
 from mixo_env.leaderboard.firing_order import FiringOrder, Told, firing_order
@@ -39,7 +39,7 @@ LEGEND = (
 def conventions(board: Leaderboard) -> list[str]:
     """Everything needed to read the numbers, one sentence a line."""
     protocol, recordings = board.protocol, board.recordings
-    pieces = board.courses[board.headline].pieces().items()
+    pieces = board.truths[board.headline].pieces().items()
     samples = ", ".join(f"{length:g} m {count} ({scenes})" for length, (count, scenes) in pieces)
     size = f"{count_of(len(recordings), 'scene')} of {count_of(board.logs, 'log')}"
     intervals = f"Intervals: bootstrap over {board.logs} logs." if board.logs > 1 else "Intervals: none, one log."
@@ -64,7 +64,7 @@ def conventions(board: Leaderboard) -> list[str]:
         )
     if silent := silent_experts(recordings):
         lines.append(f"No increment in any step: {', '.join(silent)}; such a row shows what stands in for it.")
-    instantly = {row.name: row for row in board.tables[0].rows if not row.fused and row.lost_instantly}
+    instantly = {row.name: row for row in board.standings[0].rows if not row.fused and row.lost_instantly}
     if instantly:
         counts = ", ".join(f"{name} {mean_std_text(row, row.lost_instantly)}" for name, row in instantly.items())
         lines.append(f"Lost per scene if cameras tracked again with the first good pair of images: {counts}.")
@@ -102,8 +102,8 @@ def distance_words(manifest: Manifest) -> str:
 
 def _truths(board: Leaderboard) -> str:
     """The headline's truth, and the others."""
-    names = TRUTH_NAMES if "written" in board.courses else TRUTH_NAMES | {"truth": TRUTH_NAMES["written"]}
-    others = "".join(f"; {truth}: {names[truth]}" for truth in board.courses if truth != board.headline)
+    names = TRUTH_NAMES if "written" in board.truths else TRUTH_NAMES | {"truth": TRUTH_NAMES["written"]}
+    others = "".join(f"; {truth}: {names[truth]}" for truth in board.truths if truth != board.headline)
     return f"Headline truth: {names[board.headline]}{others}."
 
 
@@ -124,9 +124,9 @@ def _folds(board: Leaderboard) -> str:
         f"{len(protocol.folds)} folds by log: learned policies, wheel scale and course offset are fitted on the other "
         "folds."
     )
-    if any(table.one_fold is not None for table in board.tables):
-        part = {row.name for t in board.tables for row in t.one_fold_rows} - {
-            r.name for t in board.tables for r in t.rows
+    if any(standings.one_fold is not None for standings in board.standings):
+        part = {row.name for t in board.standings for row in t.one_fold_rows} - {
+            r.name for t in board.standings for r in t.rows
         }
         folds += f" {', '.join(sorted(part))} is fitted once and tested on fold {protocol.tested_folds[-1]}."
     return folds
@@ -153,9 +153,9 @@ def count_of(number: int, noun: str) -> str:
     return f"{number} {noun}{'' if number == 1 else 's'}"
 
 
-def title(table: Table, manifest: Manifest) -> str:
+def title(standings: Standings, manifest: Manifest) -> str:
     """What votes in this track, and where the distance comes from."""
-    inertial = TRACKS[table.track]
+    inertial = TRACKS[standings.track]
     who = " and ".join(
         ["the cameras"] * bool(manifest.cameras or not manifest.imported)
         + ["the imported experts"] * bool(manifest.imported)
@@ -164,20 +164,20 @@ def title(table: Table, manifest: Manifest) -> str:
         votes = f"{who} vote"
     else:
         votes = f"{who} and {inertial} vote" if inertial else f"{who} vote, inertial gives distance and bridges"
-    return f"Track {table.track}: {votes}{distance_words(manifest)}"
+    return f"Track {standings.track}: {votes}{distance_words(manifest)}"
 
 
-def notes(table: Table) -> list[str]:
+def notes(standings: Standings) -> list[str]:
     """Comparisons, LINEAR's weights and what was left out."""
-    lines = comparison_lines(table.comparisons)
-    if weights := table.linear_weights():
+    lines = comparison_lines(standings.comparisons)
+    if weights := standings.linear_weights():
         experts = next(iter(weights.values()))
         mean = {expert: float(np.mean([fold[expert] for fold in weights.values()])) for expert in experts}
         parts = ", ".join(f"{expert} {weight:.3f}" for expert, weight in mean.items())
         lines.append(
             f"LINEAR weights{', mean over folds' if len(weights) > 1 else ''}: {parts}; sum {sum(mean.values()):.3f}."
         )
-    lines += [f"{name} left out: {why}." for name, why in table.left_out.items()]
+    lines += [f"{name} left out: {why}." for name, why in standings.left_out.items()]
     return lines
 
 

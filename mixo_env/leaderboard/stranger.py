@@ -11,6 +11,7 @@ from mixo_env.errors import ConfigurationError, unknown
 from mixo_env.leaderboard.board import Leaderboard, build, requested
 from mixo_env.leaderboard.comparisons import Comparison
 from mixo_env.leaderboard.exports import comparison_json, to_json
+from mixo_env.leaderboard.report import scores_table
 from mixo_env.leaderboard.rows import Row
 from mixo_env.leaderboard.sentences import p_text
 from mixo_env.policies.agent import Frozen
@@ -55,15 +56,19 @@ class Scored:
     @property
     def row(self) -> Row:
         """The policy's own row, on all scored scenes."""
-        return next(row for row in self.board.tables[0].rows if row.name == self.name)
+        return next(row for row in self.board.standings[0].rows if row.name == self.name)
 
     @property
     def differences(self) -> tuple[Comparison, ...]:
         """Paired differences, policy - row, to the rows beside it; none for a policy that reads the truth."""
-        found = (self.board.tables[0].comparisons.between(self.name, other) for other in BESIDE)
+        found = (self.board.standings[0].comparisons.between(self.name, other) for other in BESIDE)
         return tuple(comparison for comparison in found if comparison)
 
     def lines(self) -> list[str]:
+        """What :func:`score` found: the row beside the others as a table, then the differences in words."""
+        return [*scores_table(self.board.standings[0]).text().splitlines(), "", *self.difference_lines()]
+
+    def difference_lines(self) -> list[str]:
         """The differences in words."""
         return [
             f"{c.first} - {c.second}: {c.difference.mean:+.5f} deg/m [{c.difference.low:+.5f}, "

@@ -15,7 +15,7 @@ import numpy as np
 
 from mixo_env.leaderboard.board import choose
 from mixo_env.leaderboard.crossvalidation import CrossValidation, Run
-from mixo_env.leaderboard.evaluation import FLOORS, Course, poses
+from mixo_env.leaderboard.evaluation import FLOORS, Truth, poses
 from mixo_env.policies.registry import names as policy_names
 from mixo_env.recordings.collection import Recordings
 from mixo_env.trajectory import Trajectory, write_kitti, write_tum
@@ -66,13 +66,13 @@ def ways(
     recordings.voters(track)
     chosen = choose(policies, (*policy_names(recordings), *FLOORS)) if policies else ()
     protocol = CrossValidation(recordings, seed=seed)
-    course = Course(protocol.recordings, protocol.truths[0])
+    truth = Truth(protocol.recordings, protocol.truths[0])
     everywhere = np.ones(len(protocol.recordings), np.bool_)
-    yield from _scenes(GROUNDTRUTH, course.poses, everywhere, protocol.recordings)
+    yield from _scenes(GROUNDTRUTH, truth.poses, everywhere, protocol.recordings)
     for name in dict.fromkeys((*recordings.experts, *chosen)):
         progress(name)
         run: Run = protocol.run(name, track, folds=protocol.folds[-1:] if protocol.expensive(name) else None)
-        yield from _scenes(name, poses(run.motion, course.poses, course.offsets), run.tested, protocol.recordings)
+        yield from _scenes(name, poses(run.travel, truth.poses, truth.offsets), run.tested, protocol.recordings)
 
 
 def write_way(folder: Path, way: Way, form: Format) -> Path:

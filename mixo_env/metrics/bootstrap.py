@@ -16,7 +16,6 @@ from numpy.typing import ArrayLike, NDArray
 
 from mixo_env.errors import ConfigurationError
 from mixo_env.geometry import FloatArray
-from mixo_env.metrics.signflips import sign_flip_p_values
 
 Name = TypeVar("Name")
 
@@ -32,21 +31,6 @@ class Interval:
     high: float
     groups: int
     confidence: float
-
-
-@dataclass(frozen=True)
-class PairedDifference:
-    """Mean of (a - b) over paired samples: negative when ``a`` is better (errors).
-
-    Attributes:
-        difference: the mean, with its bootstrap interval.
-        p_value: two-sided, from flipping the sign of whole groups: small only when the groups agree.
-        standard_error: of the mean, from the same resamples; NaN with fewer than two groups.
-    """
-
-    difference: Interval
-    p_value: float
-    standard_error: float
 
 
 def interval_over_groups(
@@ -108,42 +92,6 @@ def _interval(sums: FloatArray, means: FloatArray, counts: FloatArray, confidenc
         return Interval(mean, float("nan"), float("nan"), len(sums), confidence)
     low, high = np.quantile(means, [0.5 - confidence / 2.0, 0.5 + confidence / 2.0])
     return Interval(mean, float(low), float(high), len(sums), confidence)
-
-
-def paired_difference(
-    a: ArrayLike,
-    b: ArrayLike,
-    groups: Sequence[object] | NDArray[np.generic],
-    *,
-    confidence: float = 0.95,
-    resamples: int = RESAMPLES,
-    seed: int = 0,
-) -> PairedDifference:
-    """Is ``a`` better than ``b`` on the same samples (same scenes, same pairs)?
-
-    The p-value is that of a sign-flip test on group sums (:mod:`~mixo_env.metrics.signflips`). With g groups it cannot
-    fall below 2 / 2^g, which is the honest limit of few drives.
-
-    Args:
-        a: ``(N,)`` errors of one method.
-        b: ``(N,)`` errors of the other, sample by sample.
-        groups: ``(N,)`` label of each sample's group.
-        confidence: of the interval.
-        resamples: bootstrap draws.
-        seed: of these and of random sign patterns.
-    """
-    first, second = np.asarray(a, dtype=np.float64), np.asarray(b, dtype=np.float64)
-    if first.shape != second.shape:
-        raise ConfigurationError(
-            f"a paired difference needs the same samples, got {first.shape} and {second.shape}; score on the same pairs"
-        )
-    sums, counts = per_group(first - second, groups)
-    means = resampled_means(sums, counts, resamples, seed)
-    return PairedDifference(
-        difference=_interval(sums, means, counts, confidence),
-        p_value=float(sign_flip_p_values(sums[:, None], seed=seed)[0]),
-        standard_error=float(means.std()) if len(means) else float("nan"),
-    )
 
 
 def holm(p_values: Mapping[Name, float]) -> dict[Name, float]:

@@ -27,12 +27,6 @@ ROW_ENDS_TRIED = 16
 Row = TypeVar("Row", bound=msgspec.Struct)
 
 
-def read_rows(path: Path, row_type: type[Row], block_bytes: int = BLOCK_BYTES) -> Iterator[Row]:
-    """Rows of the table at ``path`` in file order, as :func:`read_blocks`."""
-    for rows in read_blocks(path, row_type, block_bytes):
-        yield from rows
-
-
 def read_blocks(path: Path, row_type: type[Row], block_bytes: int = BLOCK_BYTES) -> Iterator[list[Row]]:
     """Rows of the table at ``path`` in file order, some thousands at a time.
 

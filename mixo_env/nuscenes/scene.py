@@ -78,7 +78,7 @@ class ImagePaths(Sequence[Path]):
 
 
 @dataclass(frozen=True)
-class CameraTrack:
+class CameraReel:
     """All images of one camera in one scene in time order, key frames and sweeps alike, with their ego poses.
 
     Attributes:
@@ -168,6 +168,6 @@ class Scene:
     vehicle: str
     location: str
     conditions: tuple[str, ...]
-    cameras: dict[str, CameraTrack]
+    cameras: dict[str, CameraReel]
     can_bus: CanBus | None
     exact: ExactPoses | None = None

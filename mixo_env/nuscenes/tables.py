@@ -24,7 +24,7 @@ from mixo_env.nuscenes.can_bus import read_can_bus, scenes_with_can_bus
 from mixo_env.nuscenes.files import LARGEST_FILE_BYTES, open_file
 from mixo_env.nuscenes.index import CalibrationRecord, ImageIndex
 from mixo_env.nuscenes.limits import LONGEST_SCENE_S
-from mixo_env.nuscenes.scene import CameraCalibration, CameraTrack, ExactPoses, ImagePaths, Scene
+from mixo_env.nuscenes.scene import CameraCalibration, CameraReel, ExactPoses, ImagePaths, Scene
 from mixo_env.nuscenes.selections import CAMERAS, conditions_of
 
 UNIT_QUATERNION_TOLERANCE = 1e-3
@@ -105,7 +105,7 @@ class Dataset:
                 calibration), or a CAN bus file cannot be read.
         """
         record = self.index.scenes[self.position(name)]
-        tracks = {camera: self.track(name, camera) for camera in cameras}
+        reels = {camera: self.reel(name, camera) for camera in cameras}
         return Scene(
             name=name,
             description=record.description,
@@ -113,7 +113,7 @@ class Dataset:
             vehicle=record.vehicle,
             location=record.location,
             conditions=conditions_of(record.description),
-            cameras=tracks,
+            cameras=reels,
             can_bus=read_can_bus(self.root / "can_bus", name),
             exact=_read_exact(self.root / "exact" / f"{name}.npz"),
         )
@@ -167,7 +167,7 @@ class Dataset:
         """Whether images of a camera were unpacked: there is a folder of its name."""
         return any((self.root / folder / camera).is_dir() for folder in ("samples", "sweeps"))
 
-    def track(self, name: str, camera: str) -> CameraTrack:
+    def reel(self, name: str, camera: str) -> CameraReel:
         """All images of one camera in one scene; image files are not looked at.
 
         Raises:
@@ -193,7 +193,7 @@ class Dataset:
             raise DatasetError(
                 f"{label}: {missing} images have no ego pose and {broken} one whose quaternion is not unit"
             )
-        return CameraTrack(
+        return CameraReel(
             calibration=calibration,
             timestamp_us=time,
             image_paths=ImagePaths(self.root, [index.filename(row) for row in rows.tolist()]),

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from mixo_env.errors import DatasetError
 from mixo_env.files import write_bytes
 from mixo_env.geometry import quaternion_wxyz_from_rotation, quaternion_wxyz_from_yaw
-from mixo_env.nuscenes.scene import CameraTrack, Scene
+from mixo_env.nuscenes.scene import CameraReel, Scene
 
 Row = dict[str, Any]
 Tables = dict[str, list[Row]]
@@ -102,8 +102,8 @@ def scene_tables(root: Path, scene: Scene, sample_us: Sequence[int] | NDArray[np
         }
         for k in range(len(samples))
     ]
-    for channel, track in scene.cameras.items():
-        _add_camera(tables, root, scene, channel, track, samples)
+    for channel, reel in scene.cameras.items():
+        _add_camera(tables, root, scene, channel, reel, samples)
     return tables
 
 
@@ -157,16 +157,16 @@ def write_json(path: Path, content: Any) -> None:
 
 
 def _add_camera(
-    tables: Tables, root: Path, scene: Scene, channel: str, track: CameraTrack, samples: Sequence[str]
+    tables: Tables, root: Path, scene: Scene, channel: str, reel: CameraReel, samples: Sequence[str]
 ) -> None:
     """Rows of one camera: sensor, calibration, images and their poses."""
-    keyframes = np.flatnonzero(track.is_keyframe)
-    if len(keyframes) != len(samples) or np.any(np.diff(track.timestamp_us) <= 0):
+    keyframes = np.flatnonzero(reel.is_keyframe)
+    if len(keyframes) != len(samples) or np.any(np.diff(reel.timestamp_us) <= 0):
         raise DatasetError(
             f"{scene.name} {channel}: expected {len(samples)} key frames and increasing times, "
             f"got {len(keyframes)} key frames"
         )
-    calibration = track.calibration
+    calibration = reel.calibration
     sensor_token = token("sensor", channel)
     calibration_token = token("calibrated_sensor", scene.log, scene.name, channel)
     tables["sensor"].append({"token": sensor_token, "channel": channel, "modality": "camera"})
@@ -179,11 +179,11 @@ def _add_camera(
             "camera_intrinsic": calibration.intrinsic.tolist(),
         }
     )
-    count = len(track.timestamp_us)
-    chain = ["", *(token("sample_data", scene.log, channel, time) for time in track.timestamp_us.tolist()), ""]
+    count = len(reel.timestamp_us)
+    chain = ["", *(token("sample_data", scene.log, channel, time) for time in reel.timestamp_us.tolist()), ""]
     # A sweep belongs to the key frame that follows it; what comes after the last one belongs to the last.
     following = np.minimum(np.searchsorted(keyframes, np.arange(count)), len(samples) - 1)
-    rotations = quaternion_wxyz_from_yaw(track.yaw_rad)
+    rotations = quaternion_wxyz_from_yaw(reel.yaw_rad)
     for i in range(count):
         tables["sample_data"].append(
             {
@@ -191,12 +191,12 @@ def _add_camera(
                 "sample_token": samples[following[i]],
                 "ego_pose_token": chain[i + 1],
                 "calibrated_sensor_token": calibration_token,
-                "timestamp": int(track.timestamp_us[i]),
+                "timestamp": int(reel.timestamp_us[i]),
                 "fileformat": "jpg",
-                "is_key_frame": bool(track.is_keyframe[i]),
+                "is_key_frame": bool(reel.is_keyframe[i]),
                 "height": calibration.height,
                 "width": calibration.width,
-                "filename": track.image_paths[i].relative_to(root).as_posix(),
+                "filename": reel.image_paths[i].relative_to(root).as_posix(),
                 "prev": chain[i],
                 "next": chain[i + 2],
             }
@@ -204,9 +204,9 @@ def _add_camera(
         tables["ego_pose"].append(
             {
                 "token": chain[i + 1],
-                "timestamp": int(track.timestamp_us[i]),
+                "timestamp": int(reel.timestamp_us[i]),
                 "rotation": rotations[i].tolist(),
-                "translation": [float(track.x_m[i]), float(track.y_m[i]), 0.0],
+                "translation": [float(reel.x_m[i]), float(reel.y_m[i]), 0.0],
             }
         )
 

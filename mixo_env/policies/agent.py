@@ -21,7 +21,7 @@ QUANTITIES = {"paper": PAPER, "rich": RICH, "dict": RICH}
 
 
 @dataclass(frozen=True)
-class Playing:
+class Asking:
     """How an agent is asked.
 
     Attributes:
@@ -55,10 +55,10 @@ class Playing:
 class Agent(Policy):
     """A plain ``observation -> action`` function."""
 
-    def __init__(self, function: Callable[[Any], Any], name: str, playing: Playing) -> None:
+    def __init__(self, function: Callable[[Any], Any], name: str, asking: Asking) -> None:
         """Play ``function`` under ``name``."""
         self.name = name
-        self._function, self._playing = function, playing
+        self._function, self._asking = function, asking
 
     def act(self, observation: Observation) -> Weights:
         """Ask for every scene, or once for all, and turn the actions into weights as the environment does.
@@ -66,13 +66,13 @@ class Agent(Policy):
         Raises:
             PolicyError: when the function fails, or its action is none of the environment's.
         """
-        names = [quantity.name for quantity in QUANTITIES[self._playing.observation]]
+        names = [quantity.name for quantity in QUANTITIES[self._asking.observation]]
         named = {name: observation[name] for name in names}
-        seen: Any = named if self._playing.observation == "dict" else np.concatenate(list(named.values()), axis=1)
+        seen: Any = named if self._asking.observation == "dict" else np.concatenate(list(named.values()), axis=1)
         batch, experts = observation["yaw_rates"].shape
-        rule = ActionRule(self._playing.weights, experts, self._playing.raw_scale)
+        rule = ActionRule(self._asking.weights, experts, self._asking.raw_scale)
         try:
-            if self._playing.vectorised:
+            if self._asking.vectorised:
                 actions = np.asarray(self._function(seen))
             else:
                 one = isinstance(seen, dict)

@@ -11,7 +11,7 @@ from typing import Any
 
 from mixo_env.errors import ConfigurationError, PolicyError
 from mixo_env.policies import registry
-from mixo_env.policies.agent import Agent, Frozen, Playing
+from mixo_env.policies.agent import Agent, Asking, Frozen
 from mixo_env.policies.policy import Policy
 from mixo_env.policies.sb3 import Network, read_network
 from mixo_env.recordings.collection import Recordings
@@ -37,12 +37,12 @@ class Reading:
     """How something from outside is read.
 
     Attributes:
-        playing: how a function or a network is asked.
+        asking: how a function or a network is asked.
         network: what a zip does not say in plain JSON.
         policy_class: ``module:Class`` or ``file.py:Class`` that wrote a saved folder; imported because this says so.
     """
 
-    playing: Playing = field(default_factory=Playing)
+    asking: Asking = field(default_factory=Asking)
     network: Network = field(default_factory=Network)
     policy_class: str | None = None
 
@@ -62,7 +62,7 @@ def resolve(given: Any, recordings: Recordings, reading: Reading, fitted_on: fro
         PolicyError: for a policy that cannot be made or read.
     """
     if not isinstance(given, str | Path):
-        return _of_object(given, reading.playing, fitted_on, recordings)
+        return _of_object(given, reading.asking, fitted_on, recordings)
     text, path = str(given), Path(given)
     if path.is_dir():
         loaded = _class(reading.policy_class).load(path) if reading.policy_class else registry.load(path)
@@ -73,14 +73,14 @@ def resolve(given: Any, recordings: Recordings, reading: Reading, fitted_on: fro
                 f"{text}: a trained network must say on which drives it was trained: give fitted_on (--fitted-on none, "
                 "train, or a file of scenes)"
             )
-        function, seen = read_network(path, reading.network, reading.playing)
+        function, seen = read_network(path, reading.network, reading.asking)
         name = f"{path.stem} (zip)"
         return _frozen(Agent(function, name, seen), name, fitted_on, recordings)
     meant = {name.casefold().replace("_", " "): name for name in registry.names(recordings)}
     if found := meant.get(text.casefold().replace("-", " ").replace("_", " ")):
         return Outside(found, registry.kind(found, recordings), builtin=True)
     if ":" in text:
-        return _of_object(import_object(text), reading.playing, fitted_on, recordings)
+        return _of_object(import_object(text), reading.asking, fitted_on, recordings)
     raise ConfigurationError(
         f"policy {text!r}: expected a name of the leaderboard, module:Class, file.py:Class, a folder written by "
         "Policy.save or a zip of Stable-Baselines3: found none of these"
@@ -137,7 +137,7 @@ def make_policy(kind: type[Policy]) -> Policy:
     return policy
 
 
-def _of_object(given: Any, playing: Playing, fitted_on: frozenset[str] | None, recordings: Recordings) -> Outside:
+def _of_object(given: Any, asking: Asking, fitted_on: frozenset[str] | None, recordings: Recordings) -> Outside:
     if isinstance(given, type):
         if not issubclass(given, Policy):
             raise PolicyError(f"{given.__name__}: expected a subclass of Policy: derive from it")
@@ -146,7 +146,7 @@ def _of_object(given: Any, playing: Playing, fitted_on: frozenset[str] | None, r
         return _frozen(given, given.name, fitted_on, recordings)
     if callable(given):
         name = getattr(given, "__name__", type(given).__name__)
-        return _frozen(Agent(given, name, playing), name, fitted_on or frozenset(), recordings)
+        return _frozen(Agent(given, name, asking), name, fitted_on or frozenset(), recordings)
     raise PolicyError(f"expected a policy, its class or a function, got {type(given).__name__}: see docs/policies.md")
 
 

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixo_env.errors import ConfigurationError, PolicyError
-from mixo_env.policies.agent import Playing
+from mixo_env.policies.agent import Asking
 
 Algorithm = Literal["PPO", "A2C", "SAC", "TD3", "DQN"]
 Activation = Literal["tanh", "relu"]
@@ -74,7 +74,7 @@ class Network:
     statistics: Path | None = None
 
 
-def read_network(path: Path, network: Network, playing: Playing) -> tuple[Callable[[Any], Any], Playing]:
+def read_network(path: Path, network: Network, asking: Asking) -> tuple[Callable[[Any], Any], Asking]:
     """The deterministic action of a saved network, what ``model.predict(..., deterministic=True)`` gives.
 
     Returns:
@@ -87,13 +87,13 @@ def read_network(path: Path, network: Network, playing: Playing) -> tuple[Callab
     kind = KINDS[_algorithm(path, network, tensors)]
     if data.get("use_sde"):
         raise PolicyError(f"{path}: expected a network without state-dependent exploration, got use_sde: train without")
-    if playing.observation == "dict":
+    if asking.observation == "dict":
         raise ConfigurationError("observation: a network takes flat observations, got 'dict': choose paper or rich")
     if kind.head == "action_net":
         kind = replace(kind, discrete="log_std" not in tensors)  # a Box has a standard deviation
-    if kind.discrete != (playing.weights == "select"):
+    if kind.discrete != (asking.weights == "select"):
         wanted = "select" if kind.discrete else "softmax, simplex or raw"
-        raise ConfigurationError(f"weights: {path.name} needs {wanted}, got {playing.weights}: choose that")
+        raise ConfigurationError(f"weights: {path.name} needs {wanted}, got {asking.weights}: choose that")
     layers = _layers(path, kind, tensors)
     normalise = _statistics(network.statistics, layers[0][0].shape[1])
     activation = network.activation or _activation(path, kind, data)
@@ -111,7 +111,7 @@ def read_network(path: Path, network: Network, playing: Playing) -> tuple[Callab
             return np.argmax(x, axis=1)
         return np.tanh(x) if kind.squash else np.clip(x, -1.0, 1.0)
 
-    return act, replace(playing, vectorised=True)
+    return act, replace(asking, vectorised=True)
 
 
 def _members(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[np.float32]]]:

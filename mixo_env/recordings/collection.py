@@ -78,7 +78,7 @@ class Recordings:
         return tuple(t for t, voter in TRACKS.items() if voter in inertial or (others and not (inertial and voter)))
 
     @property
-    def tables(self) -> tuple[str, ...]:
+    def distinct_tracks(self) -> tuple[str, ...]:
         """The tracks that differ: without any inertial expert all of them are VISION."""
         return self.tracks if self.manifest.inertial else ("VISION",)
 

@@ -83,13 +83,13 @@ def inputs_hash(scene: Scene) -> str:
         digest.update(f"{name}:{len(content)};".encode() + content)
 
     add("description", (scene.name, scene.log, scene.vehicle, scene.location, scene.conditions))
-    for camera, track in scene.cameras.items():
+    for camera, reel in scene.cameras.items():
         add("camera", camera)
-        for name, value in asdict(track.calibration).items():
+        for name, value in asdict(reel.calibration).items():
             add(name, value)
         for name in ("timestamp_us", "is_keyframe", "x_m", "y_m", "yaw_rad"):
-            add(name, getattr(track, name))
-        add("images", [_size(path) for path in track.image_paths])
+            add(name, getattr(reel, name))
+        add("images", [_size(path) for path in reel.image_paths])
     for part in (scene.can_bus, scene.exact):
         for field in fields(part) if part is not None else ():
             value = getattr(part, field.name)

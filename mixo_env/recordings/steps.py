@@ -21,7 +21,7 @@ from mixo_env.experts.expert import CameraExpert, CameraStep, State
 from mixo_env.experts.inertial import InertialEstimate
 from mixo_env.experts.joint.config import JointConfig
 from mixo_env.nuscenes.images import UNDECODABLE, describe_broken, image_fault, read_jpeg, too_many_broken
-from mixo_env.nuscenes.scene import CameraCalibration, CameraTrack, CanBus, Scene
+from mixo_env.nuscenes.scene import CameraCalibration, CameraReel, CanBus, Scene
 from mixo_env.recordings.carry import carry_camera
 from mixo_env.recordings.clock import NONE, Rounds, firing_rounds
 from mixo_env.recordings.joint import JOINT, Watched, record_joint
@@ -83,7 +83,7 @@ def record_scene(scene: Scene, experts: Experts) -> tuple[Columns, Columns]:
     """
     if scene.can_bus is None:
         raise DatasetError("no CAN bus: distance and inertial odometry need wheel speeds and an IMU")
-    rounds = firing_rounds({camera: track.timestamp_us for camera, track in scene.cameras.items()})
+    rounds = firing_rounds({camera: reel.timestamp_us for camera, reel in scene.cameras.items()})
     if len(rounds) < 2:
         raise DatasetError("expected at least two firing rounds, got one: a step needs a start")
     columns = empty_columns(
@@ -95,22 +95,22 @@ def record_scene(scene: Scene, experts: Experts) -> tuple[Columns, Columns]:
     inertial = _record_inertial(columns, scene, experts, times)
     timings: list[Columns] = []
     watched: dict[str, Watched] = {}
-    for j, (camera, track) in enumerate(scene.cameras.items()):
+    for j, (camera, reel) in enumerate(scene.cameras.items()):
         rows = np.flatnonzero(rounds.fired[:, j])
         image = rounds.image[rows, j]
-        at_image = np.searchsorted(times, track.timestamp_us[image])
+        at_image = np.searchsorted(times, reel.timestamp_us[image])
         made = {camera: experts.camera}
         made |= {name: make for name, (of, make) in experts.variants.items() if of == camera}
         for name, make in made.items():
-            expert = make(track.calibration)
+            expert = make(reel.calibration)
             if experts.joint and name == camera:
                 expert = watched[camera] = Watched(expert, experts.joint.camera_matches)
-            steps, timing = _run_camera(name, expert, track, image, inertial.distance_m[at_image])
+            steps, timing = _run_camera(name, expert, reel, image, inertial.distance_m[at_image])
             timings.append(timing | {"scene": np.full(len(image), scene.name, object)})
             sound = np.isfinite(timing["expert_ms"])  # the other images are as good as never taken
             rows, image, at_image = rows[sound], image[sound], at_image[sound]
             if name == camera:
-                _record_images(columns, track, rows, image)
+                _record_images(columns, reel, rows, image)
             _record_camera(columns, name, camera, steps, rows)
     if experts.joint:
         timing = record_joint(columns, rounds, watched, experts.joint)
@@ -158,14 +158,14 @@ def _record_grade(columns: Columns, grade: str, estimate: InertialEstimate) -> N
 
 
 def _run_camera(
-    name: str, expert: CameraExpert, track: CameraTrack, image: NDArray[np.int64], distance_m: NDArray[np.float64]
+    name: str, expert: CameraExpert, reel: CameraReel, image: NDArray[np.int64], distance_m: NDArray[np.float64]
 ) -> tuple[list[CameraStep], Columns]:
     """Show an expert its images in time order.
 
     Args:
         name: of the expert.
         expert: fresh.
-        track: the camera.
+        reel: the camera.
         image: ``(n,)`` the images to show.
         distance_m: ``(n,)`` inertial distance since the start of the scene at each of them.
 
@@ -179,24 +179,24 @@ def _run_camera(
     steps: list[CameraStep] = []
     decode_ms, expert_ms = np.full((2, len(image)), np.nan)
     faults: dict[int, str] = {}
-    calibration, before = track.calibration, distance_m[0]
+    calibration, before = reel.calibration, distance_m[0]
     for n, i in enumerate(image):
         start = time.thread_time()
-        grey = readable(track.image_paths[i], calibration, expert.halvings)
+        grey = readable(reel.image_paths[i], calibration, expert.halvings)
         if isinstance(grey, str):
             faults[n] = grey
             if too_many_broken(faults, len(image)):
-                paths = [track.image_paths[k] for k in image]
+                paths = [reel.image_paths[k] for k in image]
                 raise DatasetError("; ".join(describe_broken(calibration.channel, faults, paths)))
             continue
         decoded = time.thread_time()
-        steps.append(expert.process(grey, int(track.timestamp_us[i]), float(distance_m[n] - before)))
+        steps.append(expert.process(grey, int(reel.timestamp_us[i]), float(distance_m[n] - before)))
         before = distance_m[n]
         decode_ms[n] = 1e3 * (decoded - start)
         expert_ms[n] = 1e3 * (time.thread_time() - decoded)
     timing = {
         "camera": np.full(len(image), name, object),
-        "timestamp_us": track.timestamp_us[image],
+        "timestamp_us": reel.timestamp_us[image],
         "decode_ms": decode_ms,
         "expert_ms": expert_ms,
     }
@@ -228,23 +228,23 @@ def remarks_on_images(scene: Scene, timings: Columns) -> list[str]:
         timings: that came of it.
     """
     remarks = []
-    for camera, track in scene.cameras.items():
+    for camera, reel in scene.cameras.items():
         broken = (timings["camera"] == camera) & np.isnan(timings["expert_ms"])
-        positions = np.searchsorted(track.timestamp_us, timings["timestamp_us"][broken]).tolist()
-        width, height = track.calibration.width, track.calibration.height
-        faults = {k: image_fault(track.image_paths[k], width, height) or UNDECODABLE for k in positions}
-        remarks += [f"images: {text}" for text in describe_broken(camera, faults, track.image_paths)]
+        positions = np.searchsorted(reel.timestamp_us, timings["timestamp_us"][broken]).tolist()
+        width, height = reel.calibration.width, reel.calibration.height
+        faults = {k: image_fault(reel.image_paths[k], width, height) or UNDECODABLE for k in positions}
+        remarks += [f"images: {text}" for text in describe_broken(camera, faults, reel.image_paths)]
     return remarks
 
 
-def _record_images(columns: Columns, track: CameraTrack, rows: NDArray[np.int64], image: NDArray[np.int64]) -> None:
+def _record_images(columns: Columns, reel: CameraReel, rows: NDArray[np.int64], image: NDArray[np.int64]) -> None:
     """When the images of one camera were taken: ``image`` are their numbers, one for each of ``rows``."""
-    camera, times = track.calibration.channel, track.timestamp_us[image]
+    camera, times = reel.calibration.channel, reel.timestamp_us[image]
     taken = np.full(len(columns["step"]), NONE)
     taken[rows] = image
     columns[f"{camera}.image_time_offset_s"][rows] = 1e-6 * (times - columns["timestamp_us"][rows])
     columns[f"{camera}.own_window_s"][rows[1:]] = 1e-6 * np.diff(times)
-    columns[f"{camera}.own_window_truth_yaw_increment_rad"][:] = own_window_truth(track, taken)
+    columns[f"{camera}.own_window_truth_yaw_increment_rad"][:] = own_window_truth(reel, taken)
 
 
 def _record_camera(

@@ -10,13 +10,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from mixo_env.errors import RecordingError
 from mixo_env.geometry import wrap_angle_rad
-from mixo_env.nuscenes.scene import CameraTrack, ExactPoses
+from mixo_env.nuscenes.scene import CameraReel, ExactPoses
 from mixo_env.recordings.clock import Rounds
 
 FloatArray = NDArray[np.float64]
 
 
-def step_truth(tracks: Mapping[str, CameraTrack], rounds: Rounds) -> dict[str, NDArray[np.generic]]:
+def step_truth(reels: Mapping[str, CameraReel], rounds: Rounds) -> dict[str, NDArray[np.generic]]:
     """``truth.*`` and ``is_keyframe`` columns: the ego pose of the image that closes each step.
 
     The distance is the chord between consecutive poses, negative when the car moves against its mean heading.
@@ -25,7 +25,7 @@ def step_truth(tracks: Mapping[str, CameraTrack], rounds: Rounds) -> dict[str, N
     image = np.maximum(rounds.image, 0)
 
     def at_close(field: str) -> NDArray[np.generic]:
-        values = [getattr(tracks[c], field)[image[:, j]] for j, c in enumerate(rounds.cameras)]
+        values = [getattr(reels[c], field)[image[:, j]] for j, c in enumerate(rounds.cameras)]
         return np.stack(values, axis=1)[rows, rounds.closing_camera]
 
     x, y, yaw = (at_close(name).astype(np.float64) for name in ("x_m", "y_m", "yaw_rad"))
@@ -57,11 +57,11 @@ def exact_truth(exact: ExactPoses, rounds: Rounds) -> dict[str, FloatArray]:
     return {name: np.interp(at, known, values, left=np.nan, right=np.nan) for name, values in poses.items()}
 
 
-def own_window_truth(track: CameraTrack, image: NDArray[np.int64]) -> FloatArray:
+def own_window_truth(reel: CameraReel, image: NDArray[np.int64]) -> FloatArray:
     """True yaw increment of one camera since its previous image, from its own poses.
 
     Args:
-        track: the camera.
+        reel: the camera.
         image: ``(rounds,)`` its image in each round, negative where it did not fire.
 
     Returns:
@@ -69,7 +69,7 @@ def own_window_truth(track: CameraTrack, image: NDArray[np.int64]) -> FloatArray
     """
     increment = np.full(len(image), np.nan)
     fired = np.flatnonzero(image >= 0)
-    increment[fired[1:]] = wrap_angle_rad(np.diff(track.yaw_rad[image[fired]]))
+    increment[fired[1:]] = wrap_angle_rad(np.diff(reel.yaw_rad[image[fired]]))
     return increment
 
 

@@ -115,7 +115,7 @@ def scene_descriptors(
     from mixo_env.experts.monocular.features import FeatureDetector
 
     cv2.setNumThreads(1)
-    detector, track = FeatureDetector(config), dataset.track(scene, camera)
+    detector, track = FeatureDetector(config), dataset.reel(scene, camera)
     mounted = mount(track.calibration, config.max_pixels)
     rng = np.random.default_rng([seed, *scene.encode(), *camera.encode()])
     some = np.flatnonzero(rng.random(len(track.image_paths)) < share)

@@ -47,10 +47,10 @@ class City:
                 pictures show.
         """
         again = simulate_scene(self.config, log, plan, self.root)
-        for channel, track in again.scene.cameras.items():
-            written = self.dataset.track(plan.name, channel)
-            if not np.array_equal(track.timestamp_us, written.timestamp_us) or not np.allclose(
-                [track.x_m, track.y_m], [written.x_m, written.y_m], atol=1e-3
+        for channel, reel in again.scene.cameras.items():
+            written = self.dataset.reel(plan.name, channel)
+            if not np.array_equal(reel.timestamp_us, written.timestamp_us) or not np.allclose(
+                [reel.x_m, reel.y_m], [written.x_m, written.y_m], atol=1e-3
             ):
                 raise DatasetError(
                     f"{self.root}: {plan.name} was written by another version of the simulator: simulate it anew"

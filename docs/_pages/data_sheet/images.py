@@ -129,9 +129,9 @@ def simulated_pictures(city: City, per_group: int = 48) -> dict[str, dict[str, N
     for log, plan in city.scenes():
         kind = log.weather if log.weather != "day" else "low texture" if log.low_texture else "day"
         for channel in city.config.cameras:
-            track = city.dataset.track(plan.name, channel)
+            reel = city.dataset.reel(plan.name, channel)
             group = f"{channel} day" if kind == "day" else kind
-            groups[group].extend(track.image_paths[5::20])
+            groups[group].extend(reel.image_paths[5::20])
     return {group: alone(evenly(paths, per_group)) for group, paths in groups.items() if paths}
 
 
@@ -142,9 +142,9 @@ def simulated_pairs(city: City, per_group: int = 48) -> dict[str, dict[str, Numb
         if log.weather != "day" or log.low_texture:
             continue
         for channel in city.config.cameras:
-            track = city.dataset.track(plan.name, channel)
-            seconds = np.diff(track.timestamp_us) * 1e-6
-            metres = np.hypot(np.diff(track.x_m), np.diff(track.y_m))
+            reel = city.dataset.reel(plan.name, channel)
+            seconds = np.diff(reel.timestamp_us) * 1e-6
+            metres = np.hypot(np.diff(reel.x_m), np.diff(reel.y_m))
             fits = (INTERVAL_S[0] < seconds) & (seconds < INTERVAL_S[1])
             fits &= (TRAVELLED_M[0] < metres) & (metres < TRAVELLED_M[1])
             found.setdefault(f"{channel} day", []).extend((plan.name, int(i)) for i in np.flatnonzero(fits))
@@ -156,9 +156,9 @@ def simulated_pairs(city: City, per_group: int = 48) -> dict[str, dict[str, Numb
 
 
 def _simulated_pair(city: City, channel: str, scene: str, index: int) -> PairStatistics:
-    track = city.dataset.track(scene, channel)
-    first, second = (read_gray(track.image_paths[i]) for i in (index, index + 1))
-    return pair_statistics(first, second, scaled_intrinsic(track.calibration.intrinsic, track.calibration.width, first))
+    reel = city.dataset.reel(scene, channel)
+    first, second = (read_gray(reel.image_paths[i]) for i in (index, index + 1))
+    return pair_statistics(first, second, scaled_intrinsic(reel.calibration.intrinsic, reel.calibration.width, first))
 
 
 def scaled_intrinsic(intrinsic: FloatArray, width: int, gray: Gray) -> FloatArray:

@@ -92,8 +92,8 @@ def sensor_summary(city: City) -> dict[str, dict[str, float]]:
     can_bus = city.root / "can_bus"
     rows = []
     for _, plan in city.scenes():
-        track = city.dataset.track(plan.name, city.config.cameras[0])
-        if np.hypot(np.diff(track.x_m), np.diff(track.y_m)).sum() >= LONG_ENOUGH_M:
+        reel = city.dataset.reel(plan.name, city.config.cameras[0])
+        if np.hypot(np.diff(reel.x_m), np.diff(reel.y_m)).sum() >= LONG_ENOUGH_M:
             rows.append(sensor_statistics(can_bus, plan.name) | production_gyro_statistics(can_bus, plan.name))
     summary = {}
     for name in rows[0] if rows else ():

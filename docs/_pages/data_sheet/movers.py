@@ -210,19 +210,19 @@ def pair_shares(city: City, sight: Sight) -> MoverShares:
 def matched_sight(city: City, sight: Sight) -> MatchedSight:
     """Match an image with the next one, by OpenCV alone and by the project's odometry."""
     simulated = city.drive_again(sight.log, sight.plan)
-    track = city.dataset.track(sight.plan.name, sight.channel)
-    first, second = (read_gray(track.image_paths[sight.index + k]) for k in (0, 1))
+    reel = city.dataset.reel(sight.plan.name, sight.channel)
+    first, second = (read_gray(reel.image_paths[sight.index + k]) for k in (0, 1))
     size = first.shape[1], first.shape[0]  # large pictures are read at half size
     masks = [
         image_mask(sight.log, sight.plan, simulated, sight.channel, sight.index + k).astype(np.uint8) for k in (0, 1)
     ]
     before, after = (cv2.resize(mask, size, interpolation=cv2.INTER_NEAREST) > 0 for mask in masks)
-    calibration = track.calibration
+    calibration = reel.calibration
     intrinsic = scaled_intrinsic(calibration.intrinsic, calibration.width, first)
     pair = match_pair(first, second, intrinsic)
     gap_s, dx, dy = (
         float(np.diff(values[sight.index : sight.index + 2])[0])
-        for values in (track.timestamp_us * 1e-6, track.x_m, track.y_m)
+        for values in (reel.timestamp_us * 1e-6, reel.x_m, reel.y_m)
     )
     odometry = _odometry_inliers(calibration, intrinsic, (first, second), gap_s, float(np.hypot(dx, dy)))
     return MatchedSight((before, after), pair.first, pair.second, pair.inlier, *odometry)

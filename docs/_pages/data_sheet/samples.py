@@ -40,7 +40,7 @@ class Sample:
 
 
 def _middle(city: City, log: LogPlan, plan: ScenePlan, channel: str) -> int:
-    return len(city.dataset.track(plan.name, channel).timestamp_us) // 2
+    return len(city.dataset.reel(plan.name, channel).timestamp_us) // 2
 
 
 def _fullest(kind: str | None = None) -> Choice:
@@ -55,13 +55,13 @@ def _fullest(kind: str | None = None) -> Choice:
 
 def _turning(city: City, log: LogPlan, plan: ScenePlan, channel: str) -> int:
     """The middle of the eight intervals in which the car turns most."""
-    yaw = np.unwrap(city.dataset.track(plan.name, channel).yaw_rad)
+    yaw = np.unwrap(city.dataset.reel(plan.name, channel).yaw_rad)
     return int(np.argmax(np.abs(yaw[8:] - yaw[:-8]))) + 4
 
 
 def _barest(city: City, log: LogPlan, plan: ScenePlan, channel: str) -> int:
     """The image with the fewest corners, of every tenth."""
-    paths = city.dataset.track(plan.name, channel).image_paths[::EVERY]
+    paths = city.dataset.reel(plan.name, channel).image_paths[::EVERY]
     fast = cv2.FastFeatureDetector.create(12)
     return EVERY * int(np.argmin([len(fast.detect(read_gray(path), None)) for path in paths]))
 
@@ -112,7 +112,7 @@ def write_situations(city: City, folder: Path, width: int = 480) -> list[Sample]
 
 
 def _picture(city: City, plan: ScenePlan, channel: str, index: int, title: str, path: Path, width: int) -> Sample:
-    image = cv2.imread(str(city.dataset.track(plan.name, channel).image_paths[index]))
+    image = cv2.imread(str(city.dataset.reel(plan.name, channel).image_paths[index]))
     assert image is not None
     _write(path, cv2.resize(image, (width, width * 9 // 16), interpolation=cv2.INTER_AREA))
     return Sample(path.name, title, f"{plan.name} {channel}, image {index}")
@@ -142,8 +142,8 @@ def write_strip(city: City, folder: Path, width: int = 1440) -> Sample:
         dataset = open_dataset(Path(temporary))
         tiles = []
         for channel in STRIP:
-            track = dataset.track(plan.name, channel)
-            image = cv2.imread(str(track.image_paths[np.flatnonzero(track.is_keyframe)[1]]))
+            reel = dataset.reel(plan.name, channel)
+            image = cv2.imread(str(reel.image_paths[np.flatnonzero(reel.is_keyframe)[1]]))
             assert image is not None
             image = cv2.resize(image, tile, interpolation=cv2.INTER_AREA)
             (label_width, _), _ = cv2.getTextSize(channel, cv2.FONT_HERSHEY_SIMPLEX, 0.5, 1)
@@ -155,8 +155,8 @@ def write_strip(city: City, folder: Path, width: int = 1440) -> Sample:
 
 
 def _moves(city: City, plan: ScenePlan) -> bool:
-    track = city.dataset.track(plan.name, city.config.cameras[0])
-    return float(np.hypot(track.x_m[24] - track.x_m[0], track.y_m[24] - track.y_m[0])) > 10.0
+    reel = city.dataset.reel(plan.name, city.config.cameras[0])
+    return float(np.hypot(reel.x_m[24] - reel.x_m[0], reel.y_m[24] - reel.y_m[0])) > 10.0
 
 
 def write_movers(
@@ -166,7 +166,7 @@ def write_movers(
     everything = [(sight, share) for rows in shares.values() for sight, share in rows if share.covered < STREET_LEFT]
     sight, share = max(everything, key=lambda row: np.nan_to_num(row[1].inliers))
     pair = matched_sight(city, sight)
-    image = cv2.imread(str(city.dataset.track(sight.plan.name, sight.channel).image_paths[sight.index]))
+    image = cv2.imread(str(city.dataset.reel(sight.plan.name, sight.channel).image_paths[sight.index]))
     assert image is not None
     scale = width / pair.masks[0].shape[1]
     image = cv2.resize(image, (width, width * 9 // 16), interpolation=cv2.INTER_AREA)

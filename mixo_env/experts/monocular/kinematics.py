@@ -43,6 +43,7 @@ def camera_displacement(yaw: float, distance: float, lever_x: float, lever_y: fl
 @compiled
 def tilted_rotation(yaw: float, pitch: float, roll: float) -> FloatArray:
     """R_z(yaw) R_y(pitch) R_x(roll), ``(3, 3)``."""
+    # Compiled, in the innermost loop of the solver: geometry.rotation_from_roll_pitch_yaw is the one for all else.
     cz, sz, cy, sy, cx, sx = (
         math.cos(yaw),
         math.sin(yaw),

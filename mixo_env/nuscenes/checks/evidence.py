@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mixo_env.nuscenes.limits import LONGEST_SCENE_S
-from mixo_env.nuscenes.scene import CameraTrack, CanBus, FloatArray, IntArray
+from mixo_env.nuscenes.scene import CameraReel, CanBus, FloatArray, IntArray
 from mixo_env.nuscenes.tables import SceneInfo
 
 
@@ -55,10 +55,10 @@ class Evidence:
 
     Attributes:
         info: the scene's row.
-        tracks: by camera; those that could be read.
+        reels: by camera; those that could be read.
         tilt_rad: by camera, ``(n,)`` as in :class:`mixo_env.nuscenes.index.ImageIndex`.
         pose_delay_s: by camera, ``(n,)`` likewise.
-        path: ``None`` without a single track.
+        path: ``None`` without a single reel.
         can_bus: ``None`` without a single message.
         message_times_us: by message, ``(n,)`` in the order of the file.
         is_can_bus_readable: else a message file is broken, which has been said.
@@ -67,7 +67,7 @@ class Evidence:
     """
 
     info: SceneInfo
-    tracks: Mapping[str, CameraTrack]
+    reels: Mapping[str, CameraReel]
     tilt_rad: Mapping[str, FloatArray]
     pose_delay_s: Mapping[str, FloatArray]
     path: TruePath | None
@@ -77,16 +77,16 @@ class Evidence:
     expects_can_bus: bool
 
 
-def true_path(tracks: Mapping[str, CameraTrack]) -> TruePath | None:
-    """The poses of all tracks as one path; ``None`` without tracks, or if they lie hours apart."""
-    if not tracks:
+def true_path(reels: Mapping[str, CameraReel]) -> TruePath | None:
+    """The poses of all reels as one path; ``None`` without reels, or if they lie hours apart."""
+    if not reels:
         return None
-    ends = [time for track in tracks.values() for time in (track.timestamp_us[0], track.timestamp_us[-1])]
+    ends = [time for reel in reels.values() for time in (reel.timestamp_us[0], reel.timestamp_us[-1])]
     if max(ends) - min(ends) > 1e6 * LONGEST_SCENE_S:
         return None
-    time_us, first = np.unique(np.concatenate([track.timestamp_us for track in tracks.values()]), return_index=True)
+    time_us, first = np.unique(np.concatenate([reel.timestamp_us for reel in reels.values()]), return_index=True)
     x, y, yaw = (
-        np.concatenate([getattr(track, name) for track in tracks.values()])[first] for name in ("x_m", "y_m", "yaw_rad")
+        np.concatenate([getattr(reel, name) for reel in reels.values()])[first] for name in ("x_m", "y_m", "yaw_rad")
     )
     steps = np.hypot(np.diff(x), np.diff(y))
     return TruePath(time_us, x, y, np.unwrap(yaw), np.concatenate([[0.0], np.cumsum(steps)]))

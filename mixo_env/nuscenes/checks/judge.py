@@ -12,7 +12,7 @@ from mixo_env.errors import ConfigurationError, DatasetError, unknown
 from mixo_env.nuscenes.can_bus import MESSAGES, Messages, can_bus_of, read_messages
 from mixo_env.nuscenes.checks import gyro, messages, mounting, pictures, poses, wheels
 from mixo_env.nuscenes.checks.evidence import Evidence, Finding, true_path
-from mixo_env.nuscenes.scene import CameraTrack, IntArray, Scene
+from mixo_env.nuscenes.scene import CameraReel, IntArray, Scene
 from mixo_env.nuscenes.selections import (
     CAMERAS,
     FIRST_NIGHT_SCENE,
@@ -203,12 +203,12 @@ class JudgedDataset:
 def _read(dataset: Dataset, name: str, cameras: tuple[str, ...]) -> tuple[Evidence, list[Finding]]:
     """Everything the checks look at, and what cannot be read."""
     unreadable: list[Finding] = []
-    tracks: dict[str, CameraTrack] = {}
+    reels: dict[str, CameraReel] = {}
     index, position = dataset.index, dataset.position(name)
     rows = {camera: dataset.rows(name, camera) for camera in cameras}
     for camera in cameras:
         try:
-            tracks[camera] = dataset.track(name, camera)
+            reels[camera] = dataset.reel(name, camera)
         except DatasetError as error:
             unreadable.append(Finding("tables", str(error).removeprefix(f"{name} ")))
     folder = dataset.root / "can_bus"
@@ -220,10 +220,10 @@ def _read(dataset: Dataset, name: str, cameras: tuple[str, ...]) -> tuple[Eviden
     times: dict[str, IntArray] = {message: sent.times_us(message) for message in MESSAGES}
     evidence = Evidence(
         info=dataset.scenes[position],
-        tracks=tracks,
-        tilt_rad={camera: index.tilt_rad[rows[camera]].astype(np.float64) for camera in tracks},
-        pose_delay_s={camera: index.pose_delay_s[rows[camera]].astype(np.float64) for camera in tracks},
-        path=true_path(tracks),
+        reels=reels,
+        tilt_rad={camera: index.tilt_rad[rows[camera]].astype(np.float64) for camera in reels},
+        pose_delay_s={camera: index.pose_delay_s[rows[camera]].astype(np.float64) for camera in reels},
+        path=true_path(reels),
         can_bus=can_bus_of(sent),
         message_times_us=times,
         is_can_bus_readable=not any(finding.check == "can-file" for finding in unreadable),
@@ -248,7 +248,7 @@ def _known(version: str, name: str, conditions: tuple[str, ...]) -> Iterator[Fin
 
 def _measure(report: SceneReport, evidence: Evidence) -> None:
     """Numbers that are no judgement."""
-    report.images = {camera: len(track.timestamp_us) for camera, track in evidence.tracks.items()}
+    report.images = {camera: len(reel.timestamp_us) for camera, reel in evidence.reels.items()}
     rates = {message: messages.message_rate_hz(times) for message, times in evidence.message_times_us.items()}
     report.rates_hz = {message: rate for message, rate in rates.items() if rate is not None}
     path, can_bus = evidence.path, evidence.can_bus

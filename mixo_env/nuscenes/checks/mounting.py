@@ -29,8 +29,8 @@ WIDEST_DEG, NARROWEST_DEG = 170.0, 10.0
 
 def calibration(evidence: Evidence) -> Iterator[Finding]:
     """Every camera is a camera, upright, and looks where its name says."""
-    for camera, track in evidence.tracks.items():
-        for text in calibration_problems(track.calibration):
+    for camera, reel in evidence.reels.items():
+        for text in calibration_problems(reel.calibration):
             yield Finding("calibration", f"{camera}: {text}")
 
 

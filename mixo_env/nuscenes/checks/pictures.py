@@ -10,7 +10,7 @@ import numpy as np
 
 from mixo_env.nuscenes.checks.evidence import Evidence, Finding
 from mixo_env.nuscenes.images import describe_broken, image_fault, too_many_broken
-from mixo_env.nuscenes.scene import CameraTrack
+from mixo_env.nuscenes.scene import CameraReel
 from mixo_env.nuscenes.selections import LIDAR_PERIOD_US
 
 GRID_TOLERANCE_US = 5_000
@@ -24,37 +24,37 @@ _STAMP = re.compile(r"__(\d{16})\.jpg$")
 
 def image_files(evidence: Evidence) -> Iterator[Finding]:
     """Images are there, whole JPEGs, of the size of the tables: all but a few, which cost their steps."""
-    for camera, track in evidence.tracks.items():
-        width, height = track.calibration.width, track.calibration.height
+    for camera, reel in evidence.reels.items():
+        width, height = reel.calibration.width, reel.calibration.height
         faults = {
             position: fault
-            for position, path in enumerate(track.image_files())
+            for position, path in enumerate(reel.image_files())
             if (fault := image_fault(path, width, height)) is not None
         }
-        hint = ": only key frames are unpacked? see --key-frames" if _no_sweeps(faults, track) else ""
-        for text in describe_broken(camera, faults, track.image_paths):
-            yield Finding("images", text + hint, is_problem=too_many_broken(faults, len(track.image_paths)))
+        hint = ": only key frames are unpacked? see --key-frames" if _no_sweeps(faults, reel) else ""
+        for text in describe_broken(camera, faults, reel.image_paths):
+            yield Finding("images", text + hint, is_problem=too_many_broken(faults, len(reel.image_paths)))
 
 
-def _no_sweeps(faults: Mapping[int, str], track: CameraTrack) -> bool:
+def _no_sweeps(faults: Mapping[int, str], reel: CameraReel) -> bool:
     """Whether just the images between key frames are missing."""
-    between = np.flatnonzero(~track.is_keyframe).tolist()
+    between = np.flatnonzero(~reel.is_keyframe).tolist()
     missing = [position for position, fault in faults.items() if fault == "missing"]
-    return bool(between) and missing == between and "sweeps" in track.image_paths[between[0]].parts
+    return bool(between) and missing == between and "sweeps" in reel.image_paths[between[0]].parts
 
 
 def image_gaps(evidence: Evidence) -> Iterator[Finding]:
     """No camera pauses for long or misses an end of the scene; intervals lie on the lidar's grid."""
-    first = min((track.timestamp_us[0] for track in evidence.tracks.values()), default=0)
-    last = max((track.timestamp_us[-1] for track in evidence.tracks.values()), default=0)
-    for camera, track in evidence.tracks.items():
-        late, early = 1e-6 * (track.timestamp_us[0] - first), 1e-6 * (last - track.timestamp_us[-1])
+    first = min((reel.timestamp_us[0] for reel in evidence.reels.values()), default=0)
+    last = max((reel.timestamp_us[-1] for reel in evidence.reels.values()), default=0)
+    for camera, reel in evidence.reels.items():
+        late, early = 1e-6 * (reel.timestamp_us[0] - first), 1e-6 * (last - reel.timestamp_us[-1])
         if max(late, early) > LONGEST_IMAGE_GAP_S:
             yield Finding(
                 "image-gap",
                 f"{camera}: begins {late:.1f} s after the first camera and ends {early:.1f} s before the last",
             )
-        interval_us = np.diff(track.timestamp_us)
+        interval_us = np.diff(reel.timestamp_us)
         if not len(interval_us):
             yield Finding("image-gap", f"{camera}: one image only; a scene has about 12 a second")
             continue
@@ -75,18 +75,18 @@ def image_gaps(evidence: Evidence) -> Iterator[Finding]:
 
 def keyframes(evidence: Evidence) -> Iterator[Finding]:
     """Every camera has one key frame a sample."""
-    for camera, track in evidence.tracks.items():
-        if (count := int(track.is_keyframe.sum())) != evidence.info.keyframes:
+    for camera, reel in evidence.reels.items():
+        if (count := int(reel.is_keyframe.sum())) != evidence.info.keyframes:
             yield Finding("key-frames", f"{camera}: {count} key frames; the scene table says {evidence.info.keyframes}")
 
 
 def image_names(evidence: Evidence) -> Iterator[Finding]:
     """The time in a file's name, where there is one, is that of its row; no file stands for two images."""
-    for camera, track in evidence.tracks.items():
-        files = track.image_files()
+    for camera, reel in evidence.reels.items():
+        files = reel.image_files()
         wrong = [
             file
-            for file, time in zip(files, track.timestamp_us.tolist(), strict=True)
+            for file, time in zip(files, reel.timestamp_us.tolist(), strict=True)
             if (match := _STAMP.search(file)) and int(match[1]) != time
         ]
         if wrong:

@@ -8,7 +8,7 @@ import numpy as np
 
 from mixo_env.geometry import FloatArray, wrap_angle_rad
 from mixo_env.nuscenes.checks.evidence import Evidence, Finding, TruePath
-from mixo_env.nuscenes.scene import CameraTrack
+from mixo_env.nuscenes.scene import CameraReel
 from mixo_env.nuscenes.selections import STANDING_M
 
 LATEST_POSE_S = 0.005
@@ -91,30 +91,30 @@ def course_offset_rad(path: TruePath, straight_only: bool = False) -> float | No
 
 def pose_jumps(evidence: Evidence) -> Iterator[Finding]:
     """From image to image the car moves and turns as a car can."""
-    for camera, track in evidence.tracks.items():
-        yield from (Finding("pose-jump", f"{camera}: {text}") for text in _jumps(track))
+    for camera, reel in evidence.reels.items():
+        yield from (Finding("pose-jump", f"{camera}: {text}") for text in _jumps(reel))
 
 
-def _jumps(track: CameraTrack) -> Iterator[str]:
-    dt = 1e-6 * np.diff(track.timestamp_us)
+def _jumps(reel: CameraReel) -> Iterator[str]:
+    dt = 1e-6 * np.diff(reel.timestamp_us)
     if not len(dt):
         return
-    steps = np.hypot(np.diff(track.x_m), np.diff(track.y_m))
+    steps = np.hypot(np.diff(reel.x_m), np.diff(reel.y_m))
     speed = steps / dt
     if speed.max() > FASTEST_MPS:
-        yield f"the poses move at {speed.max():.0f} m/s, {_when(track, speed)}; at most {FASTEST_MPS:g} is expected"
+        yield f"the poses move at {speed.max():.0f} m/s, {_when(reel, speed)}; at most {FASTEST_MPS:g} is expected"
     elif (jump := np.abs(speed - _running_median(speed)) * dt).max() > LONGEST_JUMP_M:
-        yield f"the poses jump by {jump.max():.1f} m, {_when(track, jump)}; {LONGEST_JUMP_M:g} m is the most"
-    turn = np.abs(wrap_angle_rad(np.diff(track.yaw_rad))) / dt
+        yield f"the poses jump by {jump.max():.1f} m, {_when(reel, jump)}; {LONGEST_JUMP_M:g} m is the most"
+    turn = np.abs(wrap_angle_rad(np.diff(reel.yaw_rad))) / dt
     if turn.max() > FASTEST_TURN_RADPS:
         yield (
-            f"the poses turn at {np.degrees(turn.max()):.0f} deg/s, {_when(track, turn)}; at most "
+            f"the poses turn at {np.degrees(turn.max()):.0f} deg/s, {_when(reel, turn)}; at most "
             f"{np.degrees(FASTEST_TURN_RADPS):.0f} is expected"
         )
 
 
-def _when(track: CameraTrack, values: FloatArray) -> str:
-    return f"{1e-6 * (track.timestamp_us[int(values.argmax())] - track.timestamp_us[0]):.1f} s into the scene"
+def _when(reel: CameraReel, values: FloatArray) -> str:
+    return f"{1e-6 * (reel.timestamp_us[int(values.argmax())] - reel.timestamp_us[0]):.1f} s into the scene"
 
 
 def _running_median(values: FloatArray) -> FloatArray:

@@ -114,8 +114,8 @@ def ground_texture(rng: np.random.Generator, side: int = 4096) -> Bytes:
     slab = np.arange(side) % max(1, round(1.25 * texels_per_m)) == 0
     light[(surface == _SLABS) & (slab[:, None] | slab[None, :])] *= 0.84
     wheels = np.abs(np.abs(offset) - 1.75)
-    tracks = (0.05 * np.exp(-(((wheels - 0.75) / 0.3) ** 2))).astype(np.float32)
-    light *= np.where(surface == _ROAD, 1.0 - np.maximum(tracks[:, None], tracks[None, :]), 1.0)
+    ruts = (0.05 * np.exp(-(((wheels - 0.75) / 0.3) ** 2))).astype(np.float32)
+    light *= np.where(surface == _ROAD, 1.0 - np.maximum(ruts[:, None], ruts[None, :]), 1.0)
 
     paint = _markings_along_x(rng, offset, offset, texels_per_m)
     # A quarter turn maps (x, y) to (y, -x): the other family of streets keeps its right-hand traffic.

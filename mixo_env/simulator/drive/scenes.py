@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mixo_env.geometry import wrap_angle_rad
-from mixo_env.nuscenes.scene import CameraTrack, ExactPoses, Scene
+from mixo_env.geometry import rotation_from_roll_pitch_yaw, wrap_angle_rad
+from mixo_env.nuscenes.scene import CameraReel, ExactPoses, Scene
 from mixo_env.nuscenes.selections import conditions_of
 from mixo_env.nuscenes.writer import image_name
 from mixo_env.simulator.city.streets import BLOCK_M, SIDEWALK_M
@@ -66,14 +66,14 @@ def simulate_scene(config: SimulationConfig, log: LogPlan, plan: ScenePlan, root
     bus_rng = generator(config, "bus", plan.number)
     messages = bus_messages(bus_rng, drive, localisation, log.sensors, first_us, last_us)
 
-    tracks = {}
+    reels = {}
     for channel in config.cameras:
         frames = times.cameras[channel]
         x, y, yaw = localisation.pose((frames.timestamp_us - plan.start_us) / 1e6)
         names = zip(frames.timestamp_us.tolist(), frames.is_keyframe.tolist(), strict=True)
         paths = tuple(root / image_name(log.logfile, channel, time, key) for time, key in names)
         calibration = log.rig.written[channel]
-        tracks[channel] = CameraTrack(
+        reels[channel] = CameraReel(
             calibration, frames.timestamp_us, paths, frames.is_keyframe, x, y, wrap_angle_rad(yaw)
         )
     description = ", ".join([_LIGHT[log.weather], *_manoeuvre(drive, config.seconds)])
@@ -84,7 +84,7 @@ def simulate_scene(config: SimulationConfig, log: LogPlan, plan: ScenePlan, root
         vehicle=log.vehicle,
         location=LOCATION,
         conditions=conditions_of(description),
-        cameras=tracks,
+        cameras=reels,
         can_bus=None,
         exact=_exact(drive, plan, config.seconds),
     )
@@ -98,7 +98,7 @@ def pictures(
     shutter_s = renderer.weather.shutter_s
     for channel in config.cameras:
         calibration = log.rig.true[channel]
-        track = simulated.scene.cameras[channel]
+        reel = simulated.scene.cameras[channel]
         gain = None
         for number, exposure_us in enumerate(simulated.times.cameras[channel].exposure_us):
             open_s = (int(exposure_us) - plan.start_us) / 1e6
@@ -117,7 +117,7 @@ def pictures(
                 noise_seed=int(noise.integers(2**31)),
             )
             gain = picture.gain
-            yield track.image_paths[number], picture.image
+            yield reel.image_paths[number], picture.image
 
 
 def camera_pose(
@@ -129,7 +129,7 @@ def camera_pose(
     x, y, yaw, heave, roll, pitch = (
         float(drive.at(name, time_s)) for name in ("x_m", "y_m", "yaw_rad", "heave_m", "roll_rad", "pitch_rad")
     )
-    body = _rotation_map_from_body(roll, pitch, yaw)
+    body = rotation_from_roll_pitch_yaw(roll, pitch, yaw)
     return CameraPose(body @ rotation_ego_from_camera, np.array([x, y, heave]) + body @ translation_m)
 
 
@@ -161,18 +161,6 @@ def _nearest_side(x: float, y: float) -> BlockSide | None:
         return None
     distances = {"west": u, "east": BLOCK_M - u, "south": v, "north": BLOCK_M - v}
     return column, row, min(distances, key=lambda side: distances[side])
-
-
-def _rotation_map_from_body(roll: float, pitch: float, yaw: float) -> NDArray[np.float64]:
-    """R_z(yaw) R_y(pitch) R_x(roll)."""
-    cr, sr, cp, sp, cy, sy = np.cos(roll), np.sin(roll), np.cos(pitch), np.sin(pitch), np.cos(yaw), np.sin(yaw)
-    return np.array(
-        [
-            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
-            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
-            [-sp, cp * sr, cp * cr],
-        ]
-    )
 
 
 def _exact(drive: Drive, plan: ScenePlan, seconds: float) -> ExactPoses:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mixo_env.geometry import quaternion_wxyz_from_yaw
+from mixo_env.geometry import quaternion_wxyz_from_roll_pitch_yaw, quaternion_wxyz_from_yaw
 from mixo_env.simulator.drive.drive import Drive, road_noise
 from mixo_env.simulator.drive.localisation import Localisation
 
@@ -20,7 +20,7 @@ FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int64]
 Message = dict[str, Any]
 
-WHEELBASE_M, TRACK_M = 2.588, 1.51
+WHEELBASE_M, WHEEL_SPACING_M = 2.588, 1.51
 GRAVITY_MPS2 = 9.79
 STEERING_RATIO = 14.5
 WHEEL_RADIUS_RANGE_M = (0.301, 0.309)
@@ -165,7 +165,7 @@ def _ms_imu(bus: _Recorder) -> list[Message]:
         axis=1,
     )
     yaw = drive.at("yaw_rad", t) - sensors.imu_yaw_origin_rad
-    attitude = _attitude(drive.at("roll_rad", t), drive.at("pitch_rad", t), yaw)
+    attitude = quaternion_wxyz_from_roll_pitch_yaw(drive.at("roll_rad", t), drive.at("pitch_rad", t), yaw)
     late = bus.rng.uniform(size=len(t)) < 0.1
     stamp = grid + bus.rng.integers(0, 300, len(t)) + 12_000 * late
     stamp[1:] += np.where(late[:-1] & ~late[1:], 4_500, 0)
@@ -209,7 +209,7 @@ def _pose(bus: _Recorder, imu: list[Message]) -> list[Message]:
 def _wheel_rpm(bus: _Recorder, time_s: FloatArray) -> FloatArray:
     """``(n, 4)`` revolutions per minute at measurement times: the axle's motion at each wheel, noise, quantisation."""
     speed, yaw_rate = bus.drive.at("speed_mps", time_s), bus.drive.at("yaw_rate_radps", time_s)
-    left, right = speed - 0.5 * TRACK_M * yaw_rate, speed + 0.5 * TRACK_M * yaw_rate
+    left, right = speed - 0.5 * WHEEL_SPACING_M * yaw_rate, speed + 0.5 * WHEEL_SPACING_M * yaw_rate
     front = WHEELBASE_M * yaw_rate
     rolled = np.stack([np.hypot(left, front), np.hypot(right, front), left, right], axis=1)
     moving = np.minimum(speed / 2.0, 1.0)[:, None]
@@ -323,21 +323,6 @@ def _steering_rad(bus: _Recorder, time_s: FloatArray) -> FloatArray:
     route = bus.drive.route
     curvature = np.interp(bus.drive.at("s_m", time_s), route.s_m, route.curvature_pm)
     return STEERING_RATIO * np.arctan(WHEELBASE_M * curvature) + bus.sensors.steering_offset_rad
-
-
-def _attitude(roll: FloatArray, pitch: FloatArray, yaw: FloatArray) -> FloatArray:
-    """Quaternions ``(n, 4)`` w, x, y, z of yaw after pitch after roll, by the product of half angles."""
-    cr, sr, cp, sp = np.cos(roll / 2), np.sin(roll / 2), np.cos(pitch / 2), np.sin(pitch / 2)
-    cy, sy = np.cos(yaw / 2), np.sin(yaw / 2)
-    return np.stack(
-        [
-            cr * cp * cy + sr * sp * sy,
-            sr * cp * cy - cr * sp * sy,
-            cr * sp * cy + sr * cp * sy,
-            cr * cp * sy - sr * sp * cy,
-        ],
-        axis=1,
-    )
 
 
 def _number(value: float) -> float:

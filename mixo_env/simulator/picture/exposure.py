@@ -38,7 +38,7 @@ def during_exposure(
         Camera from map ``(3, 3)``, position ``(3,)``, and ``(1 + vehicles, 12)`` rigid motions in camera coordinates,
         rotations by rows and translations.
     """
-    # The camera turns evenly: half the angle about the axis of the whole turn (Rodrigues).
+    # The camera turns evenly: half the angle about the axis of the whole turn (Rodrigues; compiled, so not geometry's).
     turn = _product(start.T, end)
     axis = 0.5 * np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
     sine = np.sqrt(np.sum(axis * axis))
