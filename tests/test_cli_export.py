@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 
 from mixo_env.cli.main import main
+from mixo_env.policies import registry
+from mixo_env.policies.fitting import prepare
 from mixo_env.recordings.store import load_recordings
 from mixo_env.trajectory import read_trajectory
 from tests.odometry_files import import_command, write_set
@@ -47,6 +49,62 @@ def test_evaluate_finds_the_leaderboards_numbers(
         assert pooled["rotation_deg_per_m"] == pytest.approx(score["rotation_deg_per_m"]["mean"], rel=1e-5)
         assert pooled["translation_percent"] == pytest.approx(score["translation_percent"]["mean"], rel=1e-5)
     assert len({round(score["rotation_deg_per_m"]["mean"], 6) for score in rows.values()}) == 4  # rows do differ
+
+
+SUREST = """
+import numpy as np
+from mixo_env.policies.policy import Policy
+
+class First(Policy):
+    name = "FIRST"
+    def act(self, observation):
+        weights = np.zeros(observation["yaw_rates"].shape)
+        weights[:, 0] = 1.0
+        return weights
+
+def second(observation):
+    return np.array([-1.0, 1.0])
+"""
+
+
+def test_policies_from_outside_are_written_as_mixo_score_plays_them(
+    drives: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("first_policy.py").write_text(SUREST)
+    recordings = load_recordings(drives)
+    linear = registry.create("LINEAR", recordings)
+    prepare(linear, recordings.select(folds=[0, 1]), "VISION")
+    linear.save(Path("saved"))
+    (tmp_path / "HUBER").mkdir()  # of a row's name: the row is meant
+    given = ["first_policy.py:First", "first_policy.py:second", "saved", "HUBER"]
+    assert main(["export", str(drives), "--out", "refused", "--policies", *given]) == 1
+    assert "was fitted on the drive of" in capsys.readouterr().err
+    assert main(["export", str(drives), "--out", "ways", "--policies", *given, "--folds", "2"]) == 0
+    assert {path.name for path in Path("ways").iterdir()} == {
+        *("groundtruth", "A", "B", "FIRST", "second", "LINEAR_saved", "HUBER")
+    }
+    held_out = [scene.name for scene in recordings.scenes if scene.fold == 2]
+    assert [path.stem for path in Path("ways/FIRST").iterdir()] == held_out
+
+    def way(row: str) -> str:
+        return Path("ways", row, f"{held_out[0]}.txt").read_text()
+
+    assert way("FIRST") == way("A") != way("B")
+    assert main(["export", str(drives), "--out", "rows", "--policies", "LINEAR"]) == 0
+    assert way("LINEAR_saved") == Path("rows", "LINEAR", f"{held_out[0]}.txt").read_text()
+
+
+def test_two_policies_of_one_name_are_one_line(
+    drives: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("first_policy.py").write_text(SUREST)
+    Path("third_policy.py").write_text(SUREST)
+    given = ["first_policy.py:First", "third_policy.py:First"]
+    assert main(["export", str(drives), "--out", "ways", "--policies", *given]) == 2
+    assert "two of the policies would be written to first" in capsys.readouterr().err
+    assert not Path("ways").exists()
 
 
 def test_an_expert_alone_turns_as_it_was_recorded(drives: Path, tmp_path: Path) -> None:

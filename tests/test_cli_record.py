@@ -40,6 +40,40 @@ def test_a_folder_becomes_a_recording(root, tmp_path, capsys, caplog):
     assert np.all(recordings["CAM_FRONT.matches"][2:] > 50)
 
 
+def test_inertial_experts_need_no_images_and_say_what_they_say_beside_cameras(root, tmp_path, capsys):
+    bare = tmp_path / "bare"
+    write_nuscenes(bare, (DRIVES[0], DRIVES[1]), duration_s=1.0, images=False)
+    assert not list(bare.rglob("*.jpg"))
+    assert main(["record", str(bare), "--out", str(tmp_path / "refused")]) == 1
+    assert "see --no-images" in capsys.readouterr().err
+    assert main(["record", str(bare), "--out", str(tmp_path / "run"), "--no-images"]) == 0
+    assert "2 scenes" in capsys.readouterr().out
+    alone = load_recordings(tmp_path / "run")
+    assert alone.manifest.cameras == ()
+    assert alone.tracks == ("PAPER", "CONSUMER")
+    assert main(["record", str(root), "--out", str(tmp_path / "all"), "--scenes", "scene-2061"]) == 0
+    beside = load_recordings(tmp_path / "all")
+    rows = alone.select(scenes=["scene-2061"])
+    for column in rows.column_names:
+        np.testing.assert_array_equal(rows[column], beside[column], err_msg=column)
+
+    assert main(["export", str(tmp_path / "run"), "--out", str(tmp_path / "ways")]) == 0
+    added = ["--expert", f"CAM_FRONT={tmp_path / 'ways' / 'INERTIAL'}", "--out", str(tmp_path / "with-mine")]
+    assert main(["import", str(tmp_path / "run"), *added]) == 0
+    mine = load_recordings(tmp_path / "with-mine")
+    assert mine.voters("PAPER") == ("CAM_FRONT", "INERTIAL_POSE")
+    assert mine.voters("VISION") == ("CAM_FRONT",)
+    increment = mine["INERTIAL.yaw_increment_rad"]
+    np.testing.assert_allclose(mine["CAM_FRONT.yaw_increment_rad"], increment, atol=1e-5)
+
+
+@pytest.mark.parametrize("needs", [["--experts", "JOINT"], ["--retrained", "CAM_FRONT"]])
+def test_what_needs_images_is_refused_without(root, tmp_path, capsys, needs):
+    assert main(["record", str(root), "--out", str(tmp_path / "run"), "--no-images", *needs]) == 2
+    assert "need images" in capsys.readouterr().err
+    assert not (tmp_path / "run").exists()
+
+
 def test_exit_codes(root, tmp_path, capsys):
     out = str(tmp_path / "run")
     assert main(["record", str(root), "--out", out, "--scenes", "scene-2757"]) == 1

@@ -1,8 +1,8 @@
-"""Short runs of the scripts that damage folders and saved policies at random."""
+"""Short runs of the scripts that damage folders, saved policies and networks at random."""
 
 from __future__ import annotations
 
-from experiments.fuzz import folders, policies
+from experiments.fuzz import folders, networks, policies
 from tests.synthetic import synthetic_recordings
 
 
@@ -19,6 +19,13 @@ def test_damaged_policies_give_weights_or_one_line(tmp_path):
     recordings = synthetic_recordings(0, scenes=3)
     files = policies.saved(recordings, tmp_path)
     outcome = policies.fuzz(recordings, files, inputs=500, seed=0, folder=tmp_path)
+    assert outcome.faults == []
+    assert outcome.counts["refused"] > 100
+    assert outcome.counts["played"] > 10
+
+
+def test_damaged_networks_give_actions_or_one_line(tmp_path):
+    outcome = networks.fuzz(synthetic_recordings(0, scenes=3), inputs=1000, seed=0, folder=tmp_path)
     assert outcome.faults == []
     assert outcome.counts["refused"] > 100
     assert outcome.counts["played"] > 10

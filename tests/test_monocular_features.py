@@ -13,7 +13,7 @@ from mixo_env.experts.monocular.alignment import align_matches
 from mixo_env.experts.monocular.config import MonocularConfig
 from mixo_env.experts.monocular.corners import BORDER_PX, CELL_PX, corner_scores, grid_corners
 from mixo_env.experts.monocular.features import FeatureDetector, Features
-from mixo_env.experts.monocular.matching import match_features
+from mixo_env.experts.monocular.matching import MatchLimits, match_features
 from mixo_env.experts.monocular.vocabulary import Vocabulary, load_vocabulary, train_vocabulary
 from tests.corridor import calibration, picture
 
@@ -102,7 +102,7 @@ def test_matching_against_the_slow_way(street: np.ndarray, probes: int) -> None:
     detector, words = FeatureDetector(MonocularConfig(features=400)), load_vocabulary()
     first, second = detector.detect(street), detector.detect(picture(calibration(), 0.5, 0.0, 0.11, 1))
     words1, words2 = words.nearest(first.descriptor, probes), words.nearest(second.descriptor, 1)
-    i, j = match_features(first, second, words1, words2, len(words), 80.0, 64, 0.9)
+    i, j = match_features(first, second, words1, words2, len(words), MatchLimits(80.0, 64, 0.9))
     expected = slow_mutual(first, second, words1, words2, 80.0)
     assert len(expected) > 60
     assert len(set(zip(i.tolist(), j.tolist(), strict=True)) ^ expected) <= 0.02 * len(expected)  # equals may differ

@@ -233,6 +233,27 @@ def test_lag_is_found_under_scale_offset_and_drift(late_s):
     assert (lag.residual_allowed > 1.5 * lag.residual) == (not -0.065 < late_s < 0.085)
 
 
+def test_residuals_of_a_lag_are_those_of_least_squares_over_the_shifted_integral():
+    rng = np.random.default_rng(1)
+    rate = np.convolve(rng.normal(size=1_100), np.ones(100) / 10, "valid")[:1_000]
+    fine = np.arange(1_000) * 10_000
+    turned = np.concatenate([[0.0], np.cumsum(0.5 * (rate[1:] + rate[:-1]) * 0.01)])
+    yaw = 3.0 + np.roll(turned, 10) + 0.01 * rng.normal(size=1_000)  # 0.1 s late; the ends are not looked at
+    found = lag_of(fine, yaw, fine, rate, (-0.065, 0.085), 0.001)
+    at = np.arange(fine[0] + 400_000, fine[-1] - 400_000, 20_000)
+    residuals = {}
+    for lag_us in range(-400_000, 400_001, 20_000):
+        shifted = np.interp(at - lag_us, fine, turned)
+        columns = np.column_stack([shifted, np.ones(len(at)), at - at.mean()])
+        left = np.interp(at, fine, yaw) - columns @ np.linalg.lstsq(columns, np.interp(at, fine, yaw))[0]
+        residuals[1e-6 * lag_us] = np.sqrt(np.mean(left**2))
+    assert found is not None
+    assert found.residual == pytest.approx(min(residuals.values()), rel=1e-6)
+    allowed = {lag: value for lag, value in residuals.items() if -0.065 < lag < 0.085}
+    assert found.residual_allowed == pytest.approx(min(allowed.values()), rel=1e-6)
+    assert found.seconds == pytest.approx(0.1, abs=0.01)
+
+
 def test_even_motion_tells_no_lag():
     assert lag_of(TIMES, 0.2 * 1e-6 * TIMES, TIMES, np.full(len(TIMES), 0.2), (-0.065, 0.085), 0.01) is None
 

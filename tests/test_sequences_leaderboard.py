@@ -190,3 +190,22 @@ def test_real_estimates_at_two_and_ten_hertz(tmp_path, capsys, part, rate):
     assert "Ours in" in capsys.readouterr().out
     command = ["benchmark", "--recordings", str(tmp_path / "out"), "--out", str(tmp_path / "b"), "--policies", "MEDIAN"]
     assert main(command) == 0
+
+
+def test_a_title_names_those_who_vote():
+    from types import SimpleNamespace
+    from typing import Any, cast
+
+    from mixo_env.leaderboard.sentences import title
+    from mixo_env.recordings.schema import INERTIAL_EXPERTS, Manifest
+
+    track = cast("Any", SimpleNamespace(track="CONSUMER"))
+    said = [
+        title(track, Manifest("v", cameras, INERTIAL_EXPERTS, imported, ()))
+        for cameras, imported in ((("CAM_FRONT",), ()), ((), ("ORB",)), ((), ()))
+    ]
+    assert said == [
+        "Track CONSUMER: the cameras and INERTIAL_CONSUMER vote",
+        "Track CONSUMER: the imported experts and INERTIAL_CONSUMER vote",
+        "Track CONSUMER: INERTIAL_CONSUMER votes alone",
+    ]

@@ -14,7 +14,7 @@ from mixo_env.nuscenes.selections import ALL_CAMERAS
 from mixo_env.nuscenes.tables import open_dataset
 from mixo_env.simulator import dataset
 from mixo_env.simulator.city.vehicles import VEHICLE_KINDS, VehicleState
-from mixo_env.simulator.city.world import build_world
+from mixo_env.simulator.city.world import CityPlan, build_world
 from mixo_env.simulator.config import SimulationConfig, SituationShares
 from mixo_env.simulator.dataset import simulate
 from mixo_env.simulator.drive.scenario import plan_logs
@@ -27,7 +27,7 @@ CONFIG = SimulationConfig(scenes=1, seconds=2, width=320, height=180, cameras=("
 @pytest.fixture(scope="module")
 def renderer() -> Renderer:
     """A tiny city by overcast day."""
-    world = build_world(3, half_blocks=1, variety=4, ground_side=512)
+    world = build_world(3, CityPlan(half_blocks=1, variety=4, ground_side=512))
     day = Renderer(world, "day").weather
     return Renderer(world, replace(day, sun=0.0))
 

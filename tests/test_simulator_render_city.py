@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import pickle
 from collections.abc import Sequence
-from functools import partial
+from typing import Any
 
 import cv2
 import numpy as np
@@ -17,13 +17,15 @@ from mixo_env.geometry import rotation_from_yaw
 from mixo_env.simulator.city.mesh import GROUND, SHADE, PatchSet, placed
 from mixo_env.simulator.city.streets import BLOCK_M, HALF_ROAD_M, LANE_M
 from mixo_env.simulator.city.vehicles import COLOURS, VEHICLE_KINDS, VehicleState
-from mixo_env.simulator.city.world import World, build_world
+from mixo_env.simulator.city.world import CityPlan, World, build_world
 from mixo_env.simulator.picture.fleet import Fleet, body_motions, moving_states
 from mixo_env.simulator.picture.render import Renderer
 from mixo_env.simulator.picture.weather import WEATHERS
 from tests.tiny_world import camera, pose
 
-small_world = partial(build_world, half_blocks=1, variety=2, ground_side=512)
+
+def small_world(seed: int, **plan: Any) -> World:
+    return build_world(seed, CityPlan(half_blocks=1, variety=2, ground_side=512, **plan))
 
 
 @pytest.fixture(scope="module")
@@ -216,9 +218,9 @@ def test_moving_vehicle_is_smeared_and_the_street_is_not(city: World) -> None:
 @pytest.mark.parametrize(
     ("call", "words"),
     [
-        (lambda: build_world(0, parked=1.5), "parked is a share"),
-        (lambda: build_world(0, half_blocks=9), "half_blocks"),
-        (lambda: build_world(0, blank_sides=[(0, 0, "left")]), "south"),
+        (lambda: CityPlan(parked=1.5), "parked is a share"),
+        (lambda: CityPlan(half_blocks=9), "half_blocks"),
+        (lambda: CityPlan(blank_sides=[(0, 0, "left")]), "south"),
         (lambda: VehicleState("bus", 0, 0.0, 0.0, 0.0), "unknown vehicle kind 'bus'"),
         (lambda: VehicleState("suv", COLOURS, 0.0, 0.0, 0.0), "colour"),
         (lambda: Renderer(None, "snow"), "unknown weather 'snow'"),  # pyright: ignore[reportArgumentType]

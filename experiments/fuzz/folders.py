@@ -13,8 +13,7 @@ import signal
 import tempfile
 import traceback
 import warnings
-from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -22,6 +21,7 @@ from typing import Any
 import numpy as np
 import tyro
 
+from experiments.fuzz.outcome import Outcome
 from experiments.fuzz.stores import VALUES
 from mixo_env.errors import MixoError
 from mixo_env.nuscenes.checks.judge import judge
@@ -39,14 +39,6 @@ _NUMBERS = (
 )
 _PIECES = (*b', : [ ] { } " \\ ]} }, \x00 \xff \xef\xbb\xbf \xed\xa0\x80 // NaN'.split(b" "), b"[" * 2000, b" " * 5000)
 _FACTORS = (0.0, -1.0, 0.5, 2.0, 3.6, 57.3, 1e3, 1e-3, 1e6, 1e-6, 1e300)
-
-
-@dataclass
-class Outcome:
-    """Counts of a run, and what must not happen: file, its bytes and the traceback of every fault."""
-
-    counts: Counter[str] = field(default_factory=Counter)
-    faults: list[tuple[str, str]] = field(default_factory=list)
 
 
 @dataclass(frozen=True)
@@ -201,11 +193,7 @@ class Fuzz:
         """Print counts and the first faults."""
         with tempfile.TemporaryDirectory() as name:
             outcome = fuzz(small_folder(Path(name) / "data"), self.inputs, self.seed)
-        print(f"{self.inputs} inputs: {dict(outcome.counts)}, {len(outcome.faults)} faults")
-        kinds = {text.strip().rsplit("\n", 1)[-1]: (what, text) for what, text in reversed(outcome.faults)}
-        for what, text in list(kinds.values())[:10]:
-            print(what, text, sep="\n")
-        return int(bool(outcome.faults))
+        return outcome.report(self.inputs)
 
 
 if __name__ == "__main__":

@@ -12,8 +12,8 @@ import json
 import tempfile
 import traceback
 import warnings
-from collections import Counter
-from dataclasses import dataclass, field
+from copy import deepcopy
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from safetensors import safe_open
 from safetensors.numpy import save
 
+from experiments.fuzz.outcome import Outcome
 from experiments.fuzz.stores import VALUES
 from mixo_env.envs.replay import Replay
 from mixo_env.errors import MixoError
@@ -38,14 +39,6 @@ NAMES = ("LINEAR", "HUBER", "MIXO", "MEAN", "INERTIAL")
 TRACK = "PAPER"
 NUMBERS = (0.0, -1.0, 1.0, 1e-30, 1e30, 1e300, np.inf, -np.inf, np.nan)
 TYPES = ("<f2", "<f4", "<f8", "<i4", "<u1", "?")
-
-
-@dataclass
-class Outcome:
-    """Counts of a run, and what must not happen: what was loaded and the traceback of every fault."""
-
-    counts: Counter[str] = field(default_factory=Counter)
-    faults: list[tuple[str, str]] = field(default_factory=list)
 
 
 def saved(recordings: Recordings, folder: Path, names: tuple[str, ...] = NAMES) -> dict[str, bytes]:
@@ -77,7 +70,7 @@ def fuzz(recordings: Recordings, files: dict[str, bytes], inputs: int, seed: int
     observation = replay.observe()
     for _ in range(inputs):
         name = list(files)[int(rng.integers(len(files)))]
-        data = _damaged(rng, files[name]) if rng.random() < 0.2 else _exchanged(rng, *contents[name])
+        data = cut_or_changed(rng, files[name]) if rng.random() < 0.2 else _exchanged(rng, *contents[name])
         (folder / FILE).write_bytes(data)
         try:
             with warnings.catch_warnings():
@@ -109,7 +102,8 @@ def _contents(data: bytes, folder: Path) -> tuple[dict[str, Any], dict[str, NDAr
         return json.loads(file.metadata()[DESCRIPTION]), {name: file.get_tensor(name) for name in file.keys()}  # noqa: SIM118
 
 
-def _damaged(rng: np.random.Generator, data: bytes) -> bytes:
+def cut_or_changed(rng: np.random.Generator, data: bytes) -> bytes:
+    """Bytes cut off, cut out or changed."""
     i, j = sorted(int(at) for at in rng.integers(len(data) + 1, size=2))
     match int(rng.integers(3)):
         case 0:
@@ -128,7 +122,7 @@ def _exchanged(rng: np.random.Generator, description: dict[str, Any], tensors: d
     for _ in range(int(rng.integers(1, 3))):
         if tensors and rng.random() < 0.6:
             name = list(tensors)[int(rng.integers(len(tensors)))]
-            value = _another(rng, tensors.pop(name))
+            value = another(rng, tensors.pop(name))
             if value is not None:
                 tensors[name if rng.random() < 0.9 else f"{name}?"] = value
         else:
@@ -138,7 +132,7 @@ def _exchanged(rng: np.random.Generator, description: dict[str, Any], tensors: d
     )
 
 
-def _another(rng: np.random.Generator, value: NDArray[Any]) -> NDArray[Any] | None:
+def another(rng: np.random.Generator, value: NDArray[Any]) -> NDArray[Any] | None:
     """A tensor of another shape, type or value; ``None`` for none at all."""
     match int(rng.integers(7)):
         case 0:
@@ -178,7 +172,8 @@ def _exchange_value(rng: np.random.Generator, description: dict[str, Any]) -> No
         case 1 if isinstance(place, dict):
             place[f"{key}?"] = place.pop(key)
         case _:
-            place[key] = VALUES[int(rng.integers(len(VALUES)))]
+            # A copy: the next change may be made inside it, and end in a ring.
+            place[key] = deepcopy(VALUES[int(rng.integers(len(VALUES)))])
 
 
 @dataclass(frozen=True)
@@ -196,11 +191,7 @@ class Fuzz:
         few = whole.select(scenes=[scene.name for scene in whole.scenes[:3]])
         with tempfile.TemporaryDirectory() as folder:
             outcome = fuzz(few, saved(few, Path(folder)), self.inputs, self.seed, Path(folder))
-        print(f"{self.inputs} inputs: {dict(outcome.counts)}, {len(outcome.faults)} faults")
-        kinds = {text.strip().rsplit("\n", 1)[-1]: (what, text) for what, text in reversed(outcome.faults)}
-        for what, text in list(kinds.values())[:10]:
-            print(what, text, sep="\n")
-        return int(bool(outcome.faults))
+        return outcome.report(self.inputs)
 
 
 if __name__ == "__main__":

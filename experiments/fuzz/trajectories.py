@@ -12,15 +12,15 @@ import signal
 import tempfile
 import traceback
 import warnings
-from collections import Counter
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
 
 import numpy as np
 import tyro
 
+from experiments.fuzz.outcome import Outcome
 from mixo_env.errors import MixoError
 from mixo_env.metrics.alignment import ALIGNMENTS, align
 from mixo_env.metrics.association import match
@@ -135,14 +135,6 @@ def damaged(rng: np.random.Generator, data: bytes) -> bytes:
     return _encode(rng, data) if rng.random() < 0.01 else data
 
 
-@dataclass
-class Outcome:
-    """Counts of a run, and what must not happen: the bytes and the traceback of every fault."""
-
-    counts: Counter[str] = field(default_factory=Counter)
-    faults: list[tuple[bytes, str]] = field(default_factory=list)
-
-
 def fuzz(inputs: int, seed: int, folder: Path) -> Outcome:
     """Try ``inputs`` damaged files.
 
@@ -173,9 +165,9 @@ def fuzz(inputs: int, seed: int, folder: Path) -> Outcome:
         except MixoError as error:
             outcome.counts["refused"] += 1
             if "\n" in str(error) and str(path) in str(error):
-                outcome.faults.append((data, f"several lines: {error}"))
+                outcome.faults.append((repr(data[:2000]), f"several lines: {error}"))
         except Exception:
-            outcome.faults.append((data, traceback.format_exc()))
+            outcome.faults.append((repr(data[:2000]), traceback.format_exc()))
         finally:
             signal.alarm(0)
     return outcome
@@ -213,11 +205,7 @@ class Fuzz:
         """Print counts and the first faults."""
         with tempfile.TemporaryDirectory() as folder:
             outcome = fuzz(self.inputs, self.seed, Path(folder))
-        print(f"{self.inputs} inputs: {dict(outcome.counts)}, {len(outcome.faults)} faults")
-        kinds = {text.strip().rsplit("\n", 1)[-1]: (data, text) for data, text in reversed(outcome.faults)}
-        for data, text in list(kinds.values())[:10]:
-            print(repr(data[:2000]), text, sep="\n")
-        return int(bool(outcome.faults))
+        return outcome.report(self.inputs)
 
 
 if __name__ == "__main__":

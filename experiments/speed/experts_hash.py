@@ -13,11 +13,7 @@ drive by drive, so that a machine that slows down for a while slows both. The ot
 from __future__ import annotations
 
 import hashlib
-import subprocess
-import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import astuple, dataclass
 from functools import cache, partial
 from pathlib import Path
@@ -27,13 +23,14 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 
+from experiments.speed.checkouts import HERE, ask, compare, line, serve, server
 from experiments.speed.rendering import TOUR, camera_pose, traffic
 from mixo_env.experts.inertial import GRADES, InertialOdometry
 from mixo_env.experts.monocular.config import MonocularConfig
 from mixo_env.experts.monocular.odometry import MonocularOdometry
 from mixo_env.nuscenes.scene import CameraCalibration, CanBus, Signal
 from mixo_env.nuscenes.selections import ALL_CAMERAS
-from mixo_env.simulator.city.world import build_world
+from mixo_env.simulator.city.world import CityPlan, build_world
 from mixo_env.simulator.drive.rig import nominal_calibration
 from mixo_env.simulator.picture.render import Renderer
 
@@ -100,7 +97,7 @@ def renderer(weather: str) -> Renderer:
     return Renderer(_city(), weather)
 
 
-_city = cache(partial(build_world, 3, half_blocks=2, variety=6, ground_side=1024, parked=0.8))
+_city = cache(partial(build_world, 3, CityPlan(half_blocks=2, variety=6, ground_side=1024, parked=0.8)))
 
 
 @cache
@@ -158,83 +155,35 @@ def filter_rates() -> bytes:
     return b"".join(np.stack(astuple(InertialOdometry(can_bus(), grade).at(times_us))).tobytes() for grade in GRADES)
 
 
-def serve() -> None:
-    """Answer each number on standard input with the hash and the CPU milliseconds of that drive."""
-    cv2.setNumThreads(1)
-    every = runs()
-    for line in sys.stdin:
-        run = every[int(line)]
-        if run is not INERTIAL:
-            images(run)
-        began = time.thread_time()
-        content = filter_rates() if run is INERTIAL else see(run)
-        took = time.thread_time() - began
-        print(hashlib.blake2b(content, digest_size=8).hexdigest(), 1e3 * took, flush=True)
-
-
-@contextmanager
-def server(root: Path) -> Iterator[subprocess.Popen[str]]:
-    """A process that runs the experts of the checkout ``root``."""
-    command = [sys.executable, "-m", "experiments.speed.experts_hash", "--serve"]
-    with subprocess.Popen(command, cwd=root, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
-        yield process
-        assert process.stdin is not None
-        process.stdin.close()
-
-
-def ask(process: subprocess.Popen[str], number: int) -> tuple[str, float]:
+def answer(number: int) -> tuple[str, float]:
     """Hash and milliseconds of a drive."""
-    assert process.stdin is not None
-    assert process.stdout is not None
-    print(number, file=process.stdin, flush=True)
-    digest, took = process.stdout.readline().split()
-    return digest, float(took)
-
-
-def ratio_of_medians(before: NDArray[np.float64], after: NDArray[np.float64]) -> tuple[float, float, float]:
-    """Median over the repeats, summed over the drives, before / after; with its 95 % interval by resampling.
-
-    Args:
-        before: ``(repeats, drives)`` milliseconds.
-        after: the same.
-    """
-
-    def ratio(chosen: NDArray[np.int64]) -> float:
-        return float(np.median(before[chosen], axis=0).sum() / np.median(after[chosen], axis=0).sum())
-
-    rng = np.random.default_rng(0)
-    count = len(before)
-    low, high = np.quantile([ratio(rng.integers(0, count, count)) for _ in range(2000)], (0.025, 0.975))
-    return ratio(np.arange(count)), float(low), float(high)
+    run = runs()[number]
+    if run is not INERTIAL:
+        images(run)
+    began = time.thread_time()
+    content = filter_rates() if run is INERTIAL else see(run)
+    took = time.thread_time() - began
+    return hashlib.blake2b(content, digest_size=8).hexdigest(), 1e3 * took
 
 
 def main(options: Comparison) -> None:
     """Print a hash per drive, or which drives differ and how the times compare."""
+    cv2.setNumThreads(1)
     if options.serve:
-        return serve()
+        return serve(answer)
     every = runs()
-    here = Path(__file__).parents[2]
+    module = "experiments.speed.experts_hash"
     if options.other is None:
-        with server(here) as ours:
+        with server(module, HERE) as ours:
             for number, run in enumerate(every):
                 print(ask(ours, number)[0], run)
         return None
-    with server(options.other) as theirs, server(here) as ours:
-        different = [run for number, run in enumerate(every) if ask(theirs, number)[0] != ask(ours, number)[0]]
-        print(f"{len(different)} of {len(every)} drives differ", *different, sep="\n  ")
-        times = np.empty((2, options.repeats, len(every)))
-        for repeat in range(options.repeats):
-            for number in range(len(every)):
-                # Who comes second finds warmer shared caches: take turns in that as well.
-                for which in ((0, 1), (1, 0))[repeat % 2]:
-                    times[which, repeat, number] = ask((theirs, ours)[which], number)[1]
+    with server(module, options.other) as theirs, server(module, HERE) as ours:
+        different, times = compare((theirs, ours), len(every), range(len(every)), options.repeats)
+    print(f"{len(different)} of {len(every)} drives differ", *(every[number] for number in different), sep="\n  ")
     for preset in ("fast", "paper", "inertial"):
         chosen = [number for number, run in enumerate(every) if run.preset == preset]
-        value, low, high = ratio_of_medians(times[0][:, chosen], times[1][:, chosen])
-        before, after = (float(np.median(part[:, chosen], axis=0).mean()) for part in times)
-        print(
-            f"{preset:8s} {before:7.2f} -> {after:7.2f} ms a drive   before / after {value:.3f} [{low:.3f}, {high:.3f}]"
-        )
+        print(line(preset, times[:, :, chosen]))
     return None
 
 

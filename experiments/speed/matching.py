@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from mixo_env.experts.monocular.config import MonocularConfig
 from mixo_env.experts.monocular.features import FeatureDetector
-from mixo_env.experts.monocular.matching import match_features
+from mixo_env.experts.monocular.matching import MatchLimits, match_features
 from mixo_env.experts.monocular.vocabulary import load_vocabulary
 
 WINDOW_RAD = 0.29  # largest turn and shift of a point 4 m away in 1/12 s at 10 m/s
@@ -58,8 +58,8 @@ def main(paths: list[str]) -> None:
 
     def ours(radius_px: float) -> tuple[NDArray[np.intp], NDArray[np.int32]]:
         words1, words2 = words.nearest(first.descriptor, config.match_words), words.nearest(second.descriptor)
-        bits, ratio = config.match_max_bits, config.match_ratio
-        return match_features(first, second, words1, words2, len(words), radius_px, bits, ratio)
+        limits = MatchLimits(radius_px, config.match_max_bits, config.match_ratio)
+        return match_features(first, second, words1, words2, len(words), limits)
 
     matcher = cv2.BFMatcher(cv2.NORM_HAMMING, crossCheck=True)
     d1, d2 = first.descriptor.view(np.uint8), second.descriptor.view(np.uint8)

@@ -11,11 +11,7 @@ by picture, so that a machine that slows down for a while slows both. The other 
 from __future__ import annotations
 
 import hashlib
-import subprocess
-import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
@@ -25,10 +21,11 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 
+from experiments.speed.checkouts import HERE, ask, compare, line, serve, server
 from experiments.speed.rendering import TOUR, camera_pose, traffic
 from mixo_env.nuscenes.selections import ALL_CAMERAS
 from mixo_env.simulator.city.vehicles import VehicleState
-from mixo_env.simulator.city.world import build_world
+from mixo_env.simulator.city.world import CityPlan, build_world
 from mixo_env.simulator.drive.rig import nominal_calibration
 from mixo_env.simulator.picture.render import CameraPose, Renderer
 
@@ -86,7 +83,7 @@ def renderer(weather: str) -> Renderer:
     return Renderer(_city(), weather)
 
 
-_city = cache(partial(build_world, 3, half_blocks=2, variety=6, ground_side=1024, parked=0.8))
+_city = cache(partial(build_world, 3, CityPlan(half_blocks=2, variety=6, ground_side=1024, parked=0.8)))
 
 
 def picture(view: View) -> tuple[NDArray[np.uint8], float]:
@@ -103,80 +100,31 @@ def picture(view: View) -> tuple[NDArray[np.uint8], float]:
     return shown.image, 1e3 * took
 
 
-def serve() -> None:
-    """Answer each number on standard input with the hash and the milliseconds of that picture."""
-    cv2.setNumThreads(1)
-    every = views()
-    for line in sys.stdin:
-        image, took = picture(every[int(line)])
-        print(hashlib.blake2b(image.tobytes(), digest_size=8).hexdigest(), took, flush=True)
-
-
-@contextmanager
-def server(root: Path) -> Iterator[subprocess.Popen[str]]:
-    """A process that renders with the package of the checkout ``root``."""
-    command = [sys.executable, "-m", "experiments.speed.pictures_hash", "--serve"]
-    with subprocess.Popen(command, cwd=root, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
-        yield process
-        assert process.stdin is not None
-        process.stdin.close()
-
-
-def ask(process: subprocess.Popen[str], number: int) -> tuple[str, float]:
+def answer(number: int) -> tuple[str, float]:
     """Hash and milliseconds of a picture."""
-    assert process.stdin is not None
-    assert process.stdout is not None
-    print(number, file=process.stdin, flush=True)
-    digest, took = process.stdout.readline().split()
-    return digest, float(took)
-
-
-def ratio_of_medians(before: NDArray[np.float64], after: NDArray[np.float64]) -> tuple[float, float, float]:
-    """Median over the repeats, summed over the pictures, before / after; with its 95 % interval by resampling.
-
-    Args:
-        before: ``(repeats, pictures)`` milliseconds.
-        after: the same.
-    """
-
-    def ratio(chosen: NDArray[np.int64]) -> float:
-        return float(np.median(before[chosen], axis=0).sum() / np.median(after[chosen], axis=0).sum())
-
-    rng = np.random.default_rng(0)
-    count = len(before)
-    low, high = np.quantile([ratio(rng.integers(0, count, count)) for _ in range(2000)], (0.025, 0.975))
-    return ratio(np.arange(count)), float(low), float(high)
+    image, took = picture(views()[number])
+    return hashlib.blake2b(image.tobytes(), digest_size=8).hexdigest(), took
 
 
 def main(options: Comparison) -> None:
     """Print a hash per picture, or which pictures differ and how the times compare."""
+    cv2.setNumThreads(1)
     if options.serve:
-        return serve()
+        return serve(answer)
     every = views()
-    here = Path(__file__).parents[2]
+    module = "experiments.speed.pictures_hash"
     if options.other is None:
-        with server(here) as ours:
+        with server(module, HERE) as ours:
             for number, view in enumerate(every):
                 print(ask(ours, number)[0], view)
         return None
-    with server(options.other) as theirs, server(here) as ours:
-        different = [view for number, view in enumerate(every) if ask(theirs, number)[0] != ask(ours, number)[0]]
-        print(f"{len(different)} of {len(every)} pictures differ", *different, sep="\n  ")
-        large = [number for number, view in enumerate(every) if view.size == LARGE]
-        times = np.empty((2, options.repeats, len(large)))
-        for repeat in range(options.repeats):
-            for place, number in enumerate(large):
-                # Who comes second finds warmer shared caches: take turns in that as well.
-                for which in ((0, 1), (1, 0))[repeat % 2]:
-                    times[which, repeat, place] = ask((theirs, ours)[which], number)[1]
+    large = [number for number, view in enumerate(every) if view.size == LARGE]
+    with server(module, options.other) as theirs, server(module, HERE) as ours:
+        different, times = compare((theirs, ours), len(every), large, options.repeats)
+    print(f"{len(different)} of {len(every)} pictures differ", *(every[number] for number in different), sep="\n  ")
     for weather in (*WEATHERS, ""):
         chosen = [place for place, number in enumerate(large) if weather in ("", every[number].weather)]
-        value, low, high = ratio_of_medians(times[0][:, chosen], times[1][:, chosen])
-        before, after = (float(np.median(part[:, chosen], axis=0).mean()) for part in times)
-        name = weather or "all"
-        print(
-            f"{name:5s} {before:6.2f} -> {after:6.2f} ms a picture   before / after {value:.3f} [{low:.3f}, {high:.3f}]"
-        )
+        print(line(weather or "all", times[:, :, chosen]))
     return None
 
 

@@ -96,7 +96,8 @@ class Import:
         notes: list[str] = []
         with claimed(self.out) as home:
             old = settled(home)
-            same = self.recordings is not None and home.resolve() == Path(self.recordings).resolve()
+            given = None if self.recordings is None else Path(self.recordings)
+            same = given is not None and given.is_dir() and home.samefile(given)
             if old is not None and not same:
                 raise ConfigurationError(f"{home} holds another recording: choose another --out, or remove it first")
             made = self._made(experts, reading, notes)

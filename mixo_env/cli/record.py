@@ -5,11 +5,14 @@ from __future__ import annotations
 from contextlib import nullcontext
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar, Literal
+from typing import TYPE_CHECKING, ClassVar, Literal
 
 from tyro.conf import Positional
 
 from mixo_env.nuscenes.selections import CAMERAS
+
+if TYPE_CHECKING:
+    from mixo_env.recordings.collection import Recordings
 
 
 @dataclass(frozen=True)
@@ -30,6 +33,7 @@ class Record:
       mixo record city --out recorded --despite gyro-size clock-offset
       mixo record city --out recorded --retrained CAM_BACK_RIGHT          rows "w/ retrained vocabulary" of the paper
       mixo record city --out recorded --experts JOINT                     and all cameras in one estimate
+      mixo record /data/nuscenes --out steps --no-images                  inertial experts, from tables and CAN bus
       mixo benchmark --recordings recorded                                what to do next
     """
 
@@ -55,6 +59,9 @@ class Record:
     """Leave the images between key frames (sweeps) out: 2 Hz."""
     cameras: tuple[str, ...] = CAMERAS
     """Cameras to record; the paper's four by default."""
+    images: bool = True
+    """Without images the inertial experts are recorded alone, at the times that the tables tell of the cameras' images;
+    `mixo import` adds odometry of yours."""
     preset: Literal["fast", "paper"] = "fast"
     """Settings of the monocular odometry; "paper": 8000 features, 19 levels, full resolution."""
     folds: Literal["log", "contiguous"] = "log"
@@ -81,6 +88,8 @@ class Record:
         from mixo_env.recordings.record import RecordConfig, record
         from mixo_env.recordings.vocabularies import retrain
 
+        if not self.images and (self.retrained or self.experts):
+            raise ConfigurationError("--retrained and --experts need images: leave them out, or --no-images")
         for camera in self.retrained:
             if camera not in self.cameras:
                 raise ConfigurationError(unknown("camera to retrain for", camera, self.cameras))
@@ -89,7 +98,7 @@ class Record:
         for camera in self.cameras:
             dataset.channel(camera)
         scenes = chosen(dataset, self.scenes, self.selection)
-        judged = JudgedDataset(dataset, self.despite)
+        judged = JudgedDataset(dataset, self.despite, self.images)
         with claimed(self.out) if self.retrained else nullcontext():
             variants = retrain(
                 dataset,
@@ -108,11 +117,16 @@ class Record:
             data_version=self.data_version,
             variants=variants,
             joint=JointConfig() if "JOINT" in self.experts else None,
+            images=self.images,
         )
         with progress("recording scenes") as report:
             recordings = record(
                 judged, config, self.out, workers=self.workers, progress=report, scheduler=self.scheduler
             )
+        return self._say(recordings)
+
+    def _say(self, recordings: Recordings) -> int:
+        """What was recorded, and the exit code."""
         manifest = recordings.manifest
         skipped = len(manifest.parameters["skipped"])
         broken = sum(

@@ -5,6 +5,7 @@ A training script makes dozens of environments; each with its own copy would cos
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Hashable
 from importlib.resources import files
 from pathlib import Path
@@ -27,7 +28,7 @@ def identity(source: str | Path | None) -> Hashable:
     """What tells one state of a recording from another: its resolved folder, and every file's inode, size and time."""
     name = DEFAULT_RECORDINGS if source is None else source
     bundled = isinstance(name, str) and name in bundled_recordings()
-    folder = Path(str(files("mixo_env.recordings") / "data" / str(name))) if bundled else Path(name).resolve()
+    folder = Path(str(files("mixo_env.recordings") / "data" / str(name))) if bundled else Path(os.path.realpath(name))
     status = [path.stat() for path in sorted(folder.glob("*"))] if folder.is_dir() else []
     return str(folder), tuple((one.st_ino, one.st_size, one.st_mtime_ns) for one in status)
 

@@ -156,11 +156,10 @@ def count_of(number: int, noun: str) -> str:
 def title(standings: Standings, manifest: Manifest) -> str:
     """What votes in this track, and where the distance comes from."""
     inertial = TRACKS[standings.track]
-    who = " and ".join(
-        ["the cameras"] * bool(manifest.cameras or not manifest.imported)
-        + ["the imported experts"] * bool(manifest.imported)
-    )
-    if not manifest.inertial:
+    who = " and ".join(["the cameras"] * bool(manifest.cameras) + ["the imported experts"] * bool(manifest.imported))
+    if not who:
+        votes = f"{inertial} votes alone"
+    elif not manifest.inertial:
         votes = f"{who} vote"
     else:
         votes = f"{who} and {inertial} vote" if inertial else f"{who} vote, inertial gives distance and bridges"

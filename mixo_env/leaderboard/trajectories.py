@@ -13,9 +13,14 @@ from typing import Literal
 
 import numpy as np
 
+from mixo_env.errors import ConfigurationError
 from mixo_env.leaderboard.board import choose
 from mixo_env.leaderboard.crossvalidation import CrossValidation, Run
 from mixo_env.leaderboard.evaluation import FLOORS, Truth, poses
+from mixo_env.policies.agent import Frozen
+from mixo_env.policies.fitting import check
+from mixo_env.policies.outside import Outside, Reading, resolve
+from mixo_env.policies.policy import Policy
 from mixo_env.policies.registry import names as policy_names
 from mixo_env.recordings.collection import Recordings
 from mixo_env.trajectory import Trajectory, write_kitti, write_tum
@@ -42,11 +47,47 @@ class Way:
     trajectory: Trajectory
 
 
+def chosen(
+    given: Sequence[str], recordings: Recordings, reading: Reading, fitted_on: frozenset[str] | None = None
+) -> tuple[Outside, ...]:
+    """What texts mean: rows of the leaderboard however they are spelt, then policies from outside.
+
+    Args:
+        given: names, or what :func:`mixo_env.policies.outside.resolve` takes.
+        recordings: for the names of their experts.
+        reading: how those from outside are read.
+        fitted_on: hashes of the drives that frozen ones were trained on.
+
+    Raises:
+        ConfigurationError: for text that means nothing, or two policies of one name.
+        PolicyError: for a policy that cannot be made or read.
+    """
+    rows = (*policy_names(recordings), *FLOORS)
+    plain = {_plain(row) for row in rows}
+    known = [text for text in given if _plain(text) in plain or not _looks_foreign(text)]
+    found = [Outside(name, Policy, builtin=True) for name in (choose(known, rows) if known else ())]
+    found += [resolve(text, recordings, reading, fitted_on) for text in given if text not in known]
+    names = [folder_name(policy.name).casefold() for policy in found]
+    if repeated := next((name for name in names if names.count(name) > 1), None):
+        raise ConfigurationError(f"two of the policies would be written to {repeated}: export them one by one")
+    return tuple(found)
+
+
+def _plain(name: str) -> str:
+    return name.casefold().replace("-", " ").replace("_", " ")
+
+
+def _looks_foreign(text: str) -> bool:
+    """Whether text means a class, a function, a zip or a folder rather than a misspelt row."""
+    return ":" in text or text.endswith(".zip") or Path(text).is_dir()
+
+
 def ways(
     recordings: Recordings,
     track: str,
-    policies: Sequence[str] = (),
+    policies: Sequence[Outside] = (),
     *,
+    folds: Sequence[int] = (),
     seed: int = 0,
     progress: Callable[[str], None] = lambda _: None,
 ) -> Iterator[Way]:
@@ -55,23 +96,28 @@ def ways(
     Args:
         recordings: scenes; policies that learn are fitted on the folds that hold none of them.
         track: whose experts vote.
-        policies: names as in the leaderboard, however they are spelt.
+        policies: rows of the leaderboard, or from outside (:func:`chosen`).
+        folds: scenes of these only; empty: all.
         seed: of learned policies.
         progress: told what is about to run.
 
     Raises:
-        ConfigurationError: for an unknown track or policy.
+        ConfigurationError: for an unknown track or fold.
         PolicyError: when a policy does not fit the recordings.
     """
-    recordings.voters(track)
-    chosen = choose(policies, (*policy_names(recordings), *FLOORS)) if policies else ()
-    protocol = CrossValidation(recordings, seed=seed)
+    voters = recordings.voters(track)
+    outside = {policy.name: policy.kind for policy in policies if not policy.builtin}
+    protocol = CrossValidation(recordings, seed=seed, outside=outside, tested_folds=folds)
+    for kind in outside.values():
+        if isinstance(kind, Frozen):  # before anything is written
+            kind.start(voters)
+            check(kind, protocol.recordings, track)
     truth = Truth(protocol.recordings, protocol.truths[0])
     everywhere = np.ones(len(protocol.recordings), np.bool_)
     yield from _scenes(GROUNDTRUTH, truth.poses, everywhere, protocol.recordings)
-    for name in dict.fromkeys((*recordings.experts, *chosen)):
+    for name in dict.fromkeys((*recordings.experts, *(policy.name for policy in policies))):
         progress(name)
-        run: Run = protocol.run(name, track, folds=protocol.folds[-1:] if protocol.expensive(name) else None)
+        run: Run = protocol.run(name, track, folds=protocol.tested_folds[-1:] if protocol.expensive(name) else None)
         yield from _scenes(name, poses(run.travel, truth.poses, truth.offsets), run.tested, protocol.recordings)
 
 

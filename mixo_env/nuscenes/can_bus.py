@@ -6,9 +6,9 @@ in rpm, ``vehicle_monitor`` in km/h and deg/s, ``ms_imu`` and ``pose`` in rad/s 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from operator import attrgetter
+from operator import attrgetter, itemgetter
 from pathlib import Path
 from typing import TypeVar
 
@@ -91,7 +91,8 @@ class Messages:
 
     def times_us(self, message: str) -> IntArray:
         """``(n,)`` times of one message in the order of its file."""
-        return np.array([row.utime for row in getattr(self, message)], dtype=np.int64)
+        rows = getattr(self, message)
+        return np.fromiter(map(attrgetter("utime"), rows), np.int64, len(rows))
 
 
 def read_can_bus(folder: Path, scene: str) -> CanBus | None:
@@ -165,7 +166,7 @@ def _read(folder: Path, scene: str, message: str, row_type: type[MessageT]) -> l
         raise _broken(path, str(error)) from None
     except RecursionError:
         raise _broken(path, "it is too deeply nested") from None
-    times = [row.utime for row in rows]
+    times = list(map(attrgetter("utime"), rows))
     if rows and max(times) - min(times) > 1e6 * LONGEST_SCENE_S:
         raise _broken(path, f"its times span {1e-6 * (max(times) - min(times)):.0f} s; a scene lasts 20 s")
     return rows
@@ -184,8 +185,12 @@ def _signal(rows: Sequence[Message], *names: str, axis: int | None = None, si_pe
     """One field of every row, one axis of a vector, or several fields side by side; ``None`` without rows."""
     if not rows:
         return None
-    times = np.array([row.utime for row in rows], dtype=np.int64)
-    values: FloatArray = np.array(list(map(attrgetter(*names), rows)), dtype=np.float64)
-    if axis is not None:
-        values = values[:, axis]
-    return Signal(timestamp_us=times, value=values * si_per_unit)
+    times = np.fromiter(map(attrgetter("utime"), rows), np.int64, len(rows))
+    columns: list[FloatArray] = []
+    for name in names:
+        column: Iterable[float] = map(attrgetter(name), rows)
+        if axis is not None:
+            column = map(itemgetter(axis), column)  # type: ignore[arg-type]
+        columns.append(np.fromiter(column, np.float64, len(rows)))
+    value = columns[0] if len(columns) == 1 else np.column_stack(columns)
+    return Signal(timestamp_us=times, value=value * si_per_unit)

@@ -43,7 +43,8 @@ def read_file(path: Path, limit: int = LARGEST_FILE_BYTES) -> bytes:
     """
     with open_file(path) as file:
         try:
-            content = file.read(limit + 1)
+            # As many bytes as there are: a buffer of the limit costs more than a small file.
+            content = file.read(min(os.fstat(file.fileno()).st_size, limit) + 1)
         except OSError as error:
             raise DatasetError(f"{path} cannot be read: {error.strerror}") from error
     if len(content) > limit:

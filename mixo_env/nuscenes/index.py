@@ -9,6 +9,7 @@ from __future__ import annotations
 from array import array
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple, TypeVar
 
@@ -169,10 +170,16 @@ class ImageIndex:
         group = scene * len(self.channels) + channel
         return slice(int(self.offset[group]), int(self.offset[group + 1]))
 
-    def filename(self, row: int) -> str:
-        """File name of one image, relative to the root of the data set."""
-        head, separator, tail = self.filename_patterns[self.filename_pattern[row]].partition("\t")
-        return f"{head}{self.timestamp_us[row]}{tail}" if separator else head
+    def filenames(self, rows: NDArray[np.int64]) -> list[str]:
+        """File names of some images, relative to the root of the data set."""
+        parts = self._filename_parts
+        named = zip(self.filename_pattern[rows].tolist(), self.timestamp_us[rows].tolist(), strict=True)
+        return [f"{parts[n][0]}{time}{parts[n][2]}" if parts[n][1] else parts[n][0] for n, time in named]
+
+    @cached_property
+    def _filename_parts(self) -> list[tuple[str, str, str]]:
+        """What stands before the time, a tab if there is one, and what stands behind."""
+        return [pattern.partition("\t") for pattern in self.filename_patterns]
 
 
 def build_index(version_folder: Path) -> ImageIndex:

@@ -196,7 +196,7 @@ class Dataset:
         return CameraReel(
             calibration=calibration,
             timestamp_us=time,
-            image_paths=ImagePaths(self.root, [index.filename(row) for row in rows.tolist()]),
+            image_paths=ImagePaths(self.root, index.filenames(rows)),
             is_keyframe=index.is_keyframe[rows],
             x_m=index.x_m[rows],
             y_m=index.y_m[rows],

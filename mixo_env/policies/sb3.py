@@ -18,8 +18,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from mixo_env.errors import ConfigurationError, PolicyError
+from mixo_env.errors import ConfigurationError, PolicyError, printable
 from mixo_env.policies.agent import Asking
+from mixo_env.policies.storage import LARGEST
 
 Algorithm = Literal["PPO", "A2C", "SAC", "TD3", "DQN"]
 Activation = Literal["tanh", "relu"]
@@ -27,6 +28,9 @@ Layers = list[tuple[NDArray[np.float32], NDArray[np.float32]]]
 
 LARGEST_BYTES = 64 * 2**20
 """A member that unpacks to more is refused before it is unpacked; nets of this task have some 100 kB."""
+
+LARGEST_STATISTIC = 1e12
+"""Mean, variance and clip of an observation beyond this would overflow the network."""
 
 
 @dataclass(frozen=True)
@@ -140,7 +144,7 @@ def _members(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[np.float32]]
     except PolicyError:
         raise
     except Exception as error:  # zipfile, json and torch have many; none of them may end in a traceback
-        reason = str(error).splitlines()[0] if str(error) else ""
+        reason = printable(" ".join(str(error).split())[:200])
         raise PolicyError(
             f"{path} is not a plain zip of Stable-Baselines3 ({type(error).__name__}: {reason})"
         ) from None
@@ -192,8 +196,8 @@ def _layers(path: Path, kind: Kind, tensors: dict[str, NDArray[np.float32]]) -> 
         fits = weight is not None and bias is not None and weight.ndim == 2 and bias.shape == weight.shape[:1]
         if weight is None or bias is None or not fits or (layers and weight.shape[1] != len(layers[-1][1])):
             raise PolicyError(f"{path}: layer {name} is missing or does not fit the one before: save the model anew")
-        if not (np.isfinite(weight).all() and np.isfinite(bias).all()):
-            raise PolicyError(f"{path}: layer {name} holds numbers that are not finite: train it anew")
+        if not all((np.abs(values) <= LARGEST).all() for values in (weight, bias)):  # NaN is not less
+            raise PolicyError(f"{path}: layer {name} holds numbers that are not finite or beyond {LARGEST:g}: train it")
         layers.append((weight, bias))
     if not layers:
         raise PolicyError(f"{path}: expected dense layers {kind.hidden}0 and on, found none: give the right algorithm")
@@ -214,5 +218,14 @@ def _statistics(path: Path | None, width: int) -> Callable[[NDArray[np.float32]]
     mean, var = found.get("mean"), found.get("var")
     if mean is None or var is None or mean.shape != (width,) or var.shape != (width,):
         raise PolicyError(f"{path}: expected mean and var of {width} numbers each: save those of VecNormalize.obs_rms")
-    clip, epsilon = float(found.get("clip", np.array(10.0))), float(found.get("epsilon", np.array(1e-8)))
-    return lambda seen: np.clip((seen - mean) / np.sqrt(var + epsilon), -clip, clip).astype(np.float32)
+    clip, epsilon = found.get("clip", np.array(10.0)), found.get("epsilon", np.array(1e-8))
+    if clip.size != 1 or epsilon.size != 1:
+        raise PolicyError(f"{path}: expected one number each as clip and epsilon, got {clip.size} and {epsilon.size}")
+    mean, var, most, least = (value.astype(np.float64) for value in (mean, var, clip.ravel(), epsilon.ravel()))
+    sound = all((np.abs(value) < LARGEST_STATISTIC).all() for value in (mean, var, most, least))  # NaN is not less
+    if not sound or most[0] <= 0 or (var + least <= 0).any():
+        raise PolicyError(
+            f"{path}: expected finite numbers, clip > 0 and var + epsilon > 0: save those of VecNormalize anew"
+        )
+    scale = np.sqrt(var + least)
+    return lambda seen: np.clip((seen - mean) / scale, -most[0], most[0]).astype(np.float32)

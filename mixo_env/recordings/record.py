@@ -91,13 +91,15 @@ class RecordConfig:
     """What is recorded and how.
 
     Attributes:
-        cameras: channels, in column order.
+        cameras: channels, in column order; their images close the steps.
         scenes: names; empty for all of the data set.
         monocular: settings of every camera's odometry.
         folds: rule of ``FOLD_RULES``: ``"log"``, or the paper's ``"contiguous"``.
         data_version: printed with every result; ``None`` is the version of the data set.
         variants: cameras once more with retrained vocabularies, by the name of their row; never voters.
         joint: settings of JOINT, recorded as a variant, too; ``None`` leaves it out.
+        images: look at them; without, the inertial experts are recorded alone, at the times that the tables tell of the
+            cameras' images.
     """
 
     cameras: tuple[str, ...] = CAMERAS
@@ -107,12 +109,14 @@ class RecordConfig:
     data_version: str | None = None
     variants: Mapping[str, Retrained] = field(default_factory=dict)
     joint: JointConfig | None = None
+    images: bool = True
 
     def __post_init__(self) -> None:
         """Check names.
 
         Raises:
-            ConfigurationError: for an unknown rule, no camera, a camera given twice or a variant of another camera.
+            ConfigurationError: for an unknown rule, no camera, a camera given twice or a variant of another camera; for
+                experts that need images where none are looked at.
         """
         if self.folds not in FOLD_RULES:
             raise ConfigurationError(unknown("fold rule", self.folds, FOLD_RULES))
@@ -121,32 +125,41 @@ class RecordConfig:
         for variant in self.variants.values():
             if variant.camera not in self.cameras:
                 raise ConfigurationError(unknown("camera of a variant", variant.camera, self.cameras))
+        if not self.images and (self.variants or self.joint):
+            raise ConfigurationError("JOINT and retrained vocabularies need images: leave them out, or look at images")
 
     def parameters(self) -> dict[str, Any]:
         """What decides the recorded values, as plain JSON values."""
         joint = {} if self.joint is None else {"joint": asdict(self.joint)}
-        return joint | {
-            "schema_version": SCHEMA_VERSION,
-            "cameras": list(self.cameras),
-            "monocular": asdict(self.monocular),
-            "inertial": asdict(ProcessNoise())
+        unseen = {} if self.images else {"images": False}
+        return (
+            joint
+            | unseen
             | {
-                "wheel_radius_m": WHEEL_RADIUS_M,
-                "speed_variance": SPEED_VARIANCE,
-                "yaw_rate_variance": YAW_RATE_VARIANCE,
-            },
-            "variants": {
-                name: {
-                    "camera": variant.camera,
-                    "vocabulary": {scene: file_hash(path) for scene, path in variant.vocabulary.items()},
-                }
-                for name, variant in self.variants.items()
-            },
-        }
+                "schema_version": SCHEMA_VERSION,
+                "cameras": list(self.cameras),
+                "monocular": asdict(self.monocular),
+                "inertial": asdict(ProcessNoise())
+                | {
+                    "wheel_radius_m": WHEEL_RADIUS_M,
+                    "speed_variance": SPEED_VARIANCE,
+                    "yaw_rate_variance": YAW_RATE_VARIANCE,
+                },
+                "variants": {
+                    name: {
+                        "camera": variant.camera,
+                        "vocabulary": {scene: file_hash(path) for scene, path in variant.vocabulary.items()},
+                    }
+                    for name, variant in self.variants.items()
+                },
+            }
+        )
 
 
 def default_experts(config: RecordConfig, scene: str) -> Experts:
     """The project's own odometry for one scene."""
+    if not config.images:
+        return Experts(None, InertialOdometry)
     from mixo_env.experts.monocular.odometry import MonocularOdometry
 
     def camera(settings: MonocularConfig) -> partial[MonocularOdometry]:
@@ -249,9 +262,10 @@ def _take(name: str, result: Result, parts: dict[str, Part], skipped: dict[str, 
 def _assemble(parts: list[Part], config: RecordConfig, version: str, skipped: dict[str, str]) -> Recordings:
     """One recording with folds, vehicle constants and fits; value hashes are added when it is saved."""
     scenes = with_folds([part.entry for part in parts], config.folds)
+    cameras = config.cameras if config.images else ()
     manifest = Manifest(
         data_version=config.data_version or version,
-        cameras=config.cameras,
+        cameras=cameras,
         inertial=INERTIAL_EXPERTS,
         imported=(),
         scenes=scenes,
@@ -265,7 +279,7 @@ def _assemble(parts: list[Part], config: RecordConfig, version: str, skipped: di
             "broken_images": {part.entry.name: dict(part.broken_images) for part in parts if part.broken_images},
         },
         software=software_versions(),
-        camera_cost_ms=dict.fromkeys(config.cameras, CAMERA_COST_MS),
+        camera_cost_ms=dict.fromkeys(cameras, CAMERA_COST_MS),
         variants={name: variant.camera for name, variant in config.variants.items()}
         | ({} if config.joint is None else {JOINT: host(config.cameras)}),
     )

@@ -15,7 +15,7 @@ from mixo_env.geometry import FloatArray
 from mixo_env.trajectory import Trajectory
 from mixo_env.trajectory.axes import Axes, resolved
 from mixo_env.trajectory.formats import TrajectoryFiles
-from mixo_env.trajectory.layout import sequence_files
+from mixo_env.trajectory.layout import is_file, sequence_files
 from mixo_env.trajectory.quaternions import QuaternionOrder
 from mixo_env.trajectory.text import read_numbers
 
@@ -88,7 +88,7 @@ def read_sources(name: str, folder: Path, names: tuple[str, ...], reading: Readi
             stamps, known = _stamps(sequence, path, trajectory, reading)
             trajectory = replace(trajectory, timestamps_s=stamps, counted=trajectory.counted and not known)
         beside = quality_file(path)
-        quality = read_quality(beside, len(trajectory)) if beside.is_file() else None
+        quality = read_quality(beside, len(trajectory)) if is_file(beside) else None
         sources[sequence] = Source(path, trajectory, resolved(trajectory, reading.axes_of(name)), quality)
     return sources
 
@@ -124,12 +124,12 @@ def _times_file(sequence: str, path: Path, times: Path | None) -> Path | None:
     """
     if times is None:
         beside = path.with_suffix(TIMES_SUFFIX)
-        return beside if beside.is_file() else None
+        return beside if is_file(beside) else None
     if times.is_file():
         return times
     places = [times / f"{sequence}{suffix}" for suffix in (".txt", TIMES_SUFFIX, ".csv")]
     places += [times / sequence / f"{name}.txt" for name in ("times", "timestamps")]
     for place in places:
-        if place.is_file():
+        if is_file(place):
             return place
     raise TrajectoryError(f"{times}: expected the times of {sequence} in {places[0].name} or {sequence}/times.txt")

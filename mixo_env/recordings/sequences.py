@@ -25,6 +25,7 @@ from mixo_env.recordings.names import CONSTANT_RATE, GROUNDTRUTH, check_expert_n
 from mixo_env.recordings.provenance import file_hash, software_versions
 from mixo_env.recordings.schema import TRUE_DISTANCE, Manifest, SceneEntry, columns
 from mixo_env.recordings.sequence_files import Reading, Source, read_sources
+from mixo_env.recordings.thinning import thinned
 from mixo_env.recordings.truth import signed_chords
 from mixo_env.recordings.vehicles import training_constants
 from mixo_env.trajectory import Trajectory
@@ -69,6 +70,8 @@ def recordings_from_trajectories(
 ) -> Recordings:
     """Recordings whose scenes are the sequences of ``groundtruth`` and whose steps lead from one true pose to the next.
 
+    A truth that is far denser than the experts is thinned (:mod:`mixo_env.recordings.thinning`).
+
     Args:
         groundtruth: folder of files, one a sequence.
         experts: name -> folder of files with the same names.
@@ -91,6 +94,7 @@ def recordings_from_trajectories(
             raise TrajectoryError(
                 f"{source.path}: expected a time for each pose, got none: give --times FOLDER or --rate HZ"
             )
+    truths = {name: _thinned(name, truth, sources, note) for name, truth in truths.items()}
     scenes = _entries(truths, rules)
     stamps = {name: _timestamps_us(source) for name, source in truths.items()}
     _check_axes(truths, sources, stamps, rules)
@@ -186,6 +190,19 @@ def _timed(source: Source, truth: Source) -> Source:
             f"({source.path.stem}.times beside the file), or number the frames from 0 in a first column"
         )
     return replace(source, trajectory=replace(source.trajectory, timestamps_s=times_s[index], counted=False))
+
+
+def _thinned(
+    sequence: str, truth: Source, sources: Mapping[str, Mapping[str, Source]], note: Callable[[str], None]
+) -> Source:
+    """The truth without the poses that no expert can follow."""
+    times_s = truth.trajectory.timestamps_s
+    own = [source.trajectory.timestamps_s for of_one in sources.values() if (source := of_one.get(sequence))]
+    kept = None if times_s is None else thinned(times_s, [times for times in own if times is not None])
+    if kept is None:
+        return truth
+    note(f"{sequence}: steps from {len(kept)} of {len(truth.trajectory)} true poses, those nearest to experts' poses")
+    return replace(truth, trajectory=truth.trajectory[kept])
 
 
 def _same_times(one: Source, other: Source) -> bool:

@@ -55,13 +55,13 @@ class Experts:
     """How the experts of a scene are made.
 
     Attributes:
-        camera: odometry of one camera.
+        camera: odometry of one camera; ``None``: no image is looked at, and their times alone make the clock.
         inertial: one inertial grade from a CAN bus; raises :class:`DatasetError` when its messages are missing.
         variants: name -> camera, and other odometry that sees its images, too.
         joint: settings of JOINT, which all cameras' odometries then feed; ``None`` leaves it out.
     """
 
-    camera: Callable[[CameraCalibration], CameraExpert]
+    camera: Callable[[CameraCalibration], CameraExpert] | None
     inertial: Callable[[CanBus, str], InertialExpert]
     variants: Mapping[str, tuple[str, Callable[[CameraCalibration], CameraExpert]]] = field(default_factory=dict)
     joint: JointConfig | None = None
@@ -71,7 +71,7 @@ def record_scene(scene: Scene, experts: Experts) -> tuple[Columns, Columns]:
     """Run every expert over one scene.
 
     Args:
-        scene: its cameras become the recording's, in their order.
+        scene: its cameras become the recording's, in their order, if there is odometry for them.
         experts: makes them.
 
     Returns:
@@ -86,14 +86,17 @@ def record_scene(scene: Scene, experts: Experts) -> tuple[Columns, Columns]:
     rounds = firing_rounds({camera: reel.timestamp_us for camera, reel in scene.cameras.items()})
     if len(rounds) < 2:
         raise DatasetError("expected at least two firing rounds, got one: a step needs a start")
+    cameras = rounds.cameras if experts.camera is not None else ()
     columns = empty_columns(
-        len(rounds), rounds.cameras, INERTIAL_EXPERTS, (*experts.variants, *([JOINT] if experts.joint else []))
+        len(rounds), cameras, INERTIAL_EXPERTS, (*experts.variants, *([JOINT] if experts.joint else []))
     )
     _record_steps(columns, scene, rounds)
 
     times = np.unique(rounds.image_time_us[rounds.fired])  # the closing times are among them
     inertial = _record_inertial(columns, scene, experts, times)
-    timings: list[Columns] = []
+    timings: list[Columns] = [{name: np.zeros(0, dtype) for name, dtype in TIMING_COLUMNS.items()}]
+    if experts.camera is None:
+        return columns, timings[0]
     watched: dict[str, Watched] = {}
     for j, (camera, reel) in enumerate(scene.cameras.items()):
         rows = np.flatnonzero(rounds.fired[:, j])

@@ -68,7 +68,7 @@ def simulate(
     for name in only:
         if name not in {scene.name for scene in everything}:
             raise ConfigurationError(unknown("scene", name, [scene.name for scene in everything]))
-    out = out.resolve()
+    out = out.absolute()
     _claim(config, out)
     asked = [scene for scene in everything if not only or scene.name in only]
     unfinished = {scene.name for scene in asked if not _part(out, scene).exists()}
@@ -128,11 +128,11 @@ def _simulate_log(config: SimulationConfig, log: LogPlan, plans: Sequence[SceneP
 
 def _renderer(config: SimulationConfig, log: LogPlan) -> Renderer:
     """The log's city in its weather."""
-    from mixo_env.simulator.city.world import build_world
+    from mixo_env.simulator.city.world import CityPlan, build_world
     from mixo_env.simulator.picture.render import Renderer
 
     walls: dict[str, Any] = {"grain": 0.4, "blank_walls": 0.5} if log.low_texture else {}
-    world = build_world(log.world_seed, blank_sides=blank_sides(config, log), **walls)
+    world = build_world(log.world_seed, CityPlan(blank_sides=blank_sides(config, log), **walls))
     return Renderer(world, log.weather)
 
 

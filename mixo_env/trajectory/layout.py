@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 from mixo_env.errors import TrajectoryError, printable
@@ -43,7 +44,7 @@ def _scene_files(path: Path, rpg_name: str) -> dict[str, Path]:
         raise TrajectoryError(f"{path}: expected a trajectory file or a folder of them, found nothing there")
     if not path.is_dir():  # a file, or a pipe as of the shell's <(...)
         return {printable(path.stem): path}
-    if (path / rpg_name).is_file():
+    if is_file(path / rpg_name):
         return {printable(path.name): path / rpg_name}
     nested = {printable(file.parent.name): file for file in sorted(path.glob(f"*/{rpg_name}"))}
     if nested:
@@ -112,7 +113,7 @@ def sequence_files(path: Path, names: tuple[str, ...]) -> dict[str, Path]:
 def _sequence_file(folder: Path, names: tuple[str, ...]) -> Path | None:
     """The trajectory in the folder of one sequence; ``None`` without any."""
     for inside in _EUROC:
-        if (folder / inside).is_file():
+        if is_file(folder / inside):
             return folder / inside
     files = _pose_files(folder)
     if len(files) <= 1:
@@ -128,12 +129,30 @@ def _sequence_file(folder: Path, names: tuple[str, ...]) -> Path | None:
 
 
 def _pose_files(folder: Path) -> list[Path]:
-    """Files that may hold poses, in order of name."""
+    """Files that may hold poses, in order of name.
+
+    Raises:
+        TrajectoryError: if a pipe, a device or a link to nothing bears such a name.
+    """
     return [
         file
         for file in sorted(folder.iterdir())
         if file.suffix.lower() in _SUFFIXES
         and file.stem.lower() not in _NOT_POSES
         and not file.stem.lower().endswith(_BESIDE)
-        and file.is_file()
+        and is_file(file)
     ]
+
+
+def is_file(path: Path) -> bool:
+    """Whether a file is there; a folder is none.
+
+    Raises:
+        TrajectoryError: if a pipe, a device or a link to nothing stands in its place: it would be waited for, read
+            without end, or taken for absent.
+    """
+    if path.is_file():
+        return True
+    if os.path.lexists(path) and not path.is_dir():
+        raise TrajectoryError(f"{path} is no file but a pipe, a device or a link to nothing: put the file there")
+    return False

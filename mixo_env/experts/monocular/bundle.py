@@ -15,12 +15,14 @@ held: an error of its yaw is an error of the second yaw too, and cancels in the 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mixo_env.compiled import compiled
 from mixo_env.experts.monocular.camera import MountedCamera
+from mixo_env.experts.monocular.depths import MAX_INVERSE_DEPTH, Mounting
 from mixo_env.experts.monocular.kinematics import camera_motion, never_zero
 from mixo_env.experts.monocular.motion import Motion, MotionPrior
 from mixo_env.experts.monocular.pair import Pair
@@ -32,9 +34,14 @@ _SHORTEST_M = 0.1  # a standing camera gives points no depth (and its turn is se
 _LEAST_POINTS = 12  # six unknowns, five of them with priors; few points give a large standard deviation
 _PACE = 0.01  # distances of two pairs relative to each other: exposure times and wheel speeds are not exact
 _FARTHEST_STD = 4.0  # from the expected yaw: the points are those of a vehicle
-_MIN_INVERSE_DEPTH, _MAX_INVERSE_DEPTH = -0.03, 0.7  # [1/m] far points may seem a little behind infinity
+_MIN_INVERSE_DEPTH = -0.03  # [1/m] far points may seem a little behind infinity
 _SEVERITY = 0.6  # of the redescending weights, as in refine.py
-_ITERATIONS = 6
+_ITERATIONS = 6  # enough: the start is the expectation, and the noise is known after two
+_WIDE = 3.0  # noise assumed at first, over the expected: a coarse start finds its way
+_LEAST_NOISE = 0.2  # of the estimated noise, over the expected: few points may agree too well
+_EPS = 1e-6  # of numerical derivatives [rad, m]: half of a double's digits
+_NO_LINE = 1e-12  # keeps a point at the epipole from dividing by zero
+_NEAREST_Z = 0.05  # a ray this far off the axis is (nearly) behind the camera
 _UNKNOWNS = ("yaw_rad", "pitch_rad", "roll_rad", "slip_m", "heave_m")
 
 
@@ -55,7 +62,7 @@ def _inverse_depths(
         y0 = first[i, 0] - (m[0, 0] * u + m[0, 1] * v + m[0, 2]) / z
         y1 = first[i, 1] - (m[1, 0] * u + m[1, 1] * v + m[1, 2]) / z
         w0, w1 = t[0] - first[i, 0] * t[2], t[1] - first[i, 1] * t[2]
-        length = math.sqrt(w0 * w0 + w1 * w1) + 1e-12
+        length = math.sqrt(w0 * w0 + w1 * w1) + _NO_LINE
         reach[i] = length / z
         depth[i] = (y0 * w0 + y1 * w1) / length / reach[i]
     return depth, reach
@@ -79,40 +86,36 @@ def _errors(
         q0 = m[0, 0] * x + m[1, 0] * y + m[2, 0] * z
         q1 = m[0, 1] * x + m[1, 1] * y + m[2, 1] * z
         q2 = m[0, 2] * x + m[1, 2] * y + m[2, 2] * z
-        if q2 < 0.05:
+        if q2 < _NEAREST_Z:
             along[i] = reach[i] = np.inf
             continue
         u, v = q0 / q2, q1 / q2
         w0, w1 = (u * g[2] - g[0]) / q2, (v * g[2] - g[1]) / q2
-        reach[i] = math.sqrt(w0 * w0 + w1 * w1) + 1e-12
+        reach[i] = math.sqrt(w0 * w0 + w1 * w1) + _NO_LINE
         along[i] = ((second[i, 0] - u) * w0 + (second[i, 1] - v) * w1) / reach[i]
     return along, reach
 
 
-@compiled
-def _second_motion(
-    p0: FloatArray,
-    p1: FloatArray,
-    q1: FloatArray,
-    q2: FloatArray,
-    rotation: FloatArray,
-    position: FloatArray,
-    first_distance: float,
-    first_motion: FloatArray,
-    distance: float,
-    mean: FloatArray,
-    std: FloatArray,
-    noise: float,
-) -> tuple[float, float]:
-    """Yaw of the second motion and its standard deviation [rad], given the first motion; NaN with too few points.
+class _Points(NamedTuple):
+    """The same points on the image planes of three images, ``(n, 2)`` each.
 
-    Args:
-        p0: ``(n, 2)`` points on the image plane of the first image ...
-        p1: ``(n, 2)`` ... of the second, as matched with the first ...
-        q1: ``(n, 2)`` ... of the second, as matched with the third (the same corner, less than a pixel away) ...
-        q2: ``(n, 2)`` ... of the third.
-        rotation: ``(3, 3)`` ego from camera.
-        position: ``(3,)`` camera in the ego frame [m].
+    Attributes:
+        p0: in the first image ...
+        p1: ... in the second, as matched with the first ...
+        q1: ... in the second, as matched with the third (the same corner, less than a pixel away) ...
+        q2: ... in the third.
+    """
+
+    p0: FloatArray
+    p1: FloatArray
+    q1: FloatArray
+    q2: FloatArray
+
+
+class _Expected(NamedTuple):
+    """What is known before looking at the third image.
+
+    Attributes:
         first_distance: travelled between first and second image [m].
         first_motion: ``(5,)`` yaw, pitch, roll, slip, heave between them.
         distance: travelled between second and third image [m].
@@ -120,47 +123,94 @@ def _second_motion(
         std: ``(6,)`` its standard deviation, infinite for the yaw.
         noise: expected position noise on the image plane.
     """
-    m, t = camera_motion(first_motion, never_zero(first_distance), rotation, position)
-    depth, first_reach = _inverse_depths(p0, p1, m, t)
-    n, x, sigma = len(p0), mean.copy(), 3.0 * noise
-    jacobian, error = np.empty((n, 6)), np.empty(n)
-    h, used = np.eye(6), 0
-    for iteration in range(_ITERATIONS):
-        m, t = camera_motion(x, never_zero(distance * (1.0 + x[5])), rotation, position)
-        along, reach = _errors(q1, q2, depth, m, t)
-        ratio = reach / first_reach
-        told = np.isfinite(along) & (first_reach > noise) & (reach > noise)
-        told &= (depth > _MIN_INVERSE_DEPTH) & (depth < _MAX_INVERSE_DEPTH)
-        best = np.where(told, depth + along / reach * ratio**2 / (1.0 + ratio**2), 0.0)
-        best = np.minimum(np.maximum(best, _MIN_INVERSE_DEPTH), _MAX_INVERSE_DEPTH)
-        base = _errors(q1, q2, best, m, t)[0]
-        told &= np.isfinite(base)
+
+    first_distance: float
+    first_motion: FloatArray
+    distance: float
+    mean: FloatArray
+    std: FloatArray
+    noise: float
+
+
+class _Terms(NamedTuple):
+    """What the points say about the second motion, ``(n,)`` each.
+
+    Attributes:
+        along: error along the epipolar line, at the depth of the first pair.
+        ratio: noise that depth brings into it, over the noise of the second pair.
+        told: the point has a depth, a plausible one.
+        jacobian: ``(n, 6)`` of the error, at the depth that suits both pairs best.
+    """
+
+    along: FloatArray
+    ratio: FloatArray
+    told: NDArray[np.bool_]
+    jacobian: FloatArray
+
+
+@compiled
+def _linearise(
+    points: _Points, depths: tuple[FloatArray, FloatArray], x: FloatArray, mounting: Mounting, expected: _Expected
+) -> _Terms:
+    """About a second motion ``x (6,)``; ``depths`` as :func:`_inverse_depths` gives them."""
+    depth, first_reach = depths
+    noise, rotation, position = expected.noise, mounting.rotation, mounting.position
+    m, t = camera_motion(x, never_zero(expected.distance * (1.0 + x[5])), rotation, position)
+    along, reach = _errors(points.q1, points.q2, depth, m, t)
+    ratio = reach / first_reach
+    told = np.isfinite(along) & (first_reach > noise) & (reach > noise)
+    told &= (depth > _MIN_INVERSE_DEPTH) & (depth < MAX_INVERSE_DEPTH)
+    best = np.where(told, depth + along / reach * ratio**2 / (1.0 + ratio**2), 0.0)
+    best = np.minimum(np.maximum(best, _MIN_INVERSE_DEPTH), MAX_INVERSE_DEPTH)
+    base = _errors(points.q1, points.q2, best, m, t)[0]
+    told &= np.isfinite(base)
+    jacobian = np.empty((len(depth), 6))
+    for k in range(6):
+        y = x.copy()
+        y[k] += _EPS
+        m, t = camera_motion(y, never_zero(expected.distance * (1.0 + y[5])), rotation, position)
+        jacobian[:, k] = (_errors(points.q1, points.q2, best, m, t)[0] - base) / _EPS
+    return _Terms(along, ratio, told, jacobian)
+
+
+@compiled
+def _normal_equations(terms: _Terms, sigma: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Matrix ``(6, 6)`` and right side ``(6,)`` of the step, and the sizes ``(used,)`` of the errors that entered."""
+    error, used = np.empty(len(terms.along)), 0
+    h, g = np.zeros((6, 6)), np.zeros(6)
+    jacobian = terms.jacobian
+    for i in range(len(error)):
+        if not terms.told[i]:
+            continue
+        variance = 1.0 + terms.ratio[i] ** 2
+        error[used] = abs(terms.along[i]) / math.sqrt(variance)
+        weight = 1.0 / (1.0 + _SEVERITY * (error[used] / sigma) ** 2) ** 2 / variance
+        used += 1
         for k in range(6):
-            y = x.copy()
-            y[k] += 1e-6
-            m, t = camera_motion(y, never_zero(distance * (1.0 + y[5])), rotation, position)
-            jacobian[:, k] = (_errors(q1, q2, best, m, t)[0] - base) / 1e-6
-        used = 0
-        h, g = np.zeros((6, 6)), np.zeros(6)
-        for i in range(n):
-            if not told[i]:
-                continue
-            variance = 1.0 + ratio[i] ** 2
-            error[used] = abs(along[i]) / math.sqrt(variance)
-            weight = 1.0 / (1.0 + _SEVERITY * (error[used] / sigma) ** 2) ** 2 / variance
-            used += 1
-            for k in range(6):
-                g[k] += weight * jacobian[i, k] * along[i]
-                for j in range(6):
-                    h[k, j] += weight * jacobian[i, k] * jacobian[i, j]
-        if used < _LEAST_POINTS:
+            g[k] += weight * jacobian[i, k] * terms.along[i]
+            for j in range(6):
+                h[k, j] += weight * jacobian[i, k] * jacobian[i, j]
+    return h, g, error[:used]
+
+
+@compiled
+def _second_motion(points: _Points, mounting: Mounting, expected: _Expected) -> tuple[float, float]:
+    """Yaw of the second motion and its standard deviation [rad], given the first motion; NaN with too few points."""
+    mean, std, noise = expected.mean, expected.std, expected.noise
+    first_distance = never_zero(expected.first_distance)
+    m, t = camera_motion(expected.first_motion, first_distance, mounting.rotation, mounting.position)
+    depths = _inverse_depths(points.p0, points.p1, m, t)
+    x, sigma, h = mean.copy(), _WIDE * noise, np.eye(6)
+    for iteration in range(_ITERATIONS):
+        h, g, error = _normal_equations(_linearise(points, depths, x, mounting, expected), sigma)
+        if len(error) < _LEAST_POINTS:
             return math.nan, math.nan
         for k in range(6):
             h[k, k] += (sigma / std[k]) ** 2
             g[k] += (sigma / std[k]) ** 2 * (x[k] - mean[k])
         x -= np.linalg.solve(h, g)
         if iteration > 0:
-            sigma = max(MAD_TO_SIGMA * np.median(error[:used]), 0.2 * noise)
+            sigma = max(MAD_TO_SIGMA * np.median(error), _LEAST_NOISE * noise)
     return x[0], sigma * math.sqrt(np.linalg.inv(h)[0, 0])
 
 
@@ -189,13 +239,7 @@ def turn_change(
     if len(first) < _LEAST_POINTS:
         return None
     offset, offset_std = prior.offset()
-    yaw_rad, std_rad = _second_motion(
-        last.first[first],
-        last.second[first],
-        pair.first[second],
-        pair.second[second],
-        camera.rotation,
-        camera.position_m,
+    expected = _Expected(
         last.prior.distance_m,
         np.array([getattr(last_motion, name) for name in _UNKNOWNS]),
         prior.distance_m,
@@ -203,6 +247,8 @@ def turn_change(
         np.array([math.inf, prior.tilt_std_rad, prior.tilt_std_rad, *offset_std, _PACE]),
         prior.noise,
     )
+    points = _Points(last.first[first], last.second[first], pair.first[second], pair.second[second])
+    yaw_rad, std_rad = _second_motion(points, Mounting(camera.rotation, camera.position_m), expected)
     if not abs(yaw_rad - prior.yaw_mean_rad) < _FARTHEST_STD * math.hypot(prior.yaw_std_rad, std_rad):
         return None
     return yaw_rad - last_motion.yaw_rad, std_rad

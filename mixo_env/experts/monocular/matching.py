@@ -9,6 +9,7 @@ that only those that can match are touched at all.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,10 +18,14 @@ from mixo_env.compiled import compiled
 from mixo_env.experts.monocular.bits import population_count, trailing_zeros
 from mixo_env.experts.monocular.features import Features
 
+_X, _Y, _LEVEL, _ANGLE, _COSINE, _SINE = range(6)
+"""Rows of looks: one single-precision block, so that the test of a block runs in SIMD."""
+
 _FAR = 512  # more bits than a descriptor has
 _TURN_RAD = 0.5  # orientations of a match may differ by so much: the camera hardly rolls
 _MIN_COSINE = math.cos(_TURN_RAD)
 _SECTORS = 64  # of orientation, in which a node is sorted
+_LEVELS = np.float32(1.5)  # pyramid levels of a match may differ by one: sizes change little between images
 _BLOCK = 16  # candidates tested at a time
 _REACH = math.ceil(_TURN_RAD / (2.0 * math.pi) * _SECTORS)
 
@@ -74,43 +79,81 @@ def _compare_looks(
         straight: cosine of the angle between orientations, at least.
         similar: ``(block length,)``, overwritten.
     """
-    x, y, level, cosine, sine = look[0], look[1], look[2], look[4], look[5]
-    xs, ys, levels, cosines, sines = looks[0], looks[1], looks[2], looks[4], looks[5]
+    x, y, level, cosine, sine = look[_X], look[_Y], look[_LEVEL], look[_COSINE], look[_SINE]
+    xs, ys, levels, cosines, sines = looks[_X], looks[_Y], looks[_LEVEL], looks[_COSINE], looks[_SINE]
     for k in range(_BLOCK):
         j = np.uint64(block + k)
         similar[k] = (
             (abs(xs[j] - x) <= reach)
             & (abs(ys[j] - y) <= reach)
-            & (abs(levels[j] - level) <= np.float32(1.5))
+            & (abs(levels[j] - level) <= _LEVELS)
             & (cosine * cosines[j] + sine * sines[j] >= straight)
         )
 
 
-@compiled
-def _mutual(
-    nodes1: NDArray[np.int32],
-    node2: NDArray[np.int32],
-    nodes: int,
-    d1: NDArray[np.uint64],
-    d2: NDArray[np.uint64],
-    looks1: NDArray[np.float32],
-    looks2: NDArray[np.float32],
-    radius: float,
-    max_bits: int,
-    ratio: float,
-) -> NDArray[np.int32]:
-    """Index into the second set for each of the first, -1 without a mutual match.
+class _Side(NamedTuple):
+    """Features of one image as the kernel sees them.
 
-    ``looks`` holds x, y, level, angle, its cosine and its sine: ``(n, 6)``.
+    Attributes:
+        nodes: ``(n, p)`` nearest nodes of each, the nearest first.
+        descriptor: ``(n, 4)``.
+        looks: ``(n, 6)`` x, y, level, angle, its cosine and its sine.
     """
-    n, m = len(nodes1), len(node2)
+
+    nodes: NDArray[np.int32]
+    descriptor: NDArray[np.uint64]
+    looks: NDArray[np.float32]
+
+
+class _Grouped(NamedTuple):
+    """Features sorted by nearest node, then by sector of orientation.
+
+    Attributes:
+        order: ``(m,)`` which feature each of them is.
+        start: ``(nodes * sectors + 1,)`` where each sector of each node starts.
+        descriptor: ``(m, 4)``.
+        looks: ``(6, m + block)``, a block that is infinitely far at the end.
+    """
+
+    order: NDArray[np.int32]
+    start: NDArray[np.int32]
+    descriptor: NDArray[np.uint64]
+    looks: NDArray[np.float32]
+
+
+class MatchLimits(NamedTuple):
+    """What a match must keep to.
+
+    Attributes:
+        radius_px: half the side of the search window [working px].
+        max_bits: largest Hamming distance.
+        ratio: best distance over second best, at most.
+    """
+
+    radius_px: float
+    max_bits: int
+    ratio: float
+
+
+@compiled
+def _group(side: _Side, nodes: int) -> _Grouped:
+    m = len(side.nodes)
     bucket = np.empty(m, np.int32)
     for j in range(m):
-        bucket[j] = node2[j] * _SECTORS + _sector(looks2[j, 3])
+        bucket[j] = side.nodes[j, 0] * _SECTORS + _sector(side.looks[j, _ANGLE])
     order, start = _sort(bucket, nodes * _SECTORS)
-    words = d2[order]
     beyond = np.full((6, _BLOCK), np.inf, np.float32)  # whole blocks are tested: what lies beyond the last is far
-    looks = np.concatenate((looks2[order].T, beyond), axis=1)
+    looks = np.concatenate((side.looks[order].T, beyond), axis=1)
+    return _Grouped(order, start, side.descriptor[order], looks)
+
+
+@compiled
+def _mutual(ours: _Side, theirs: _Side, nodes: int, limits: MatchLimits) -> NDArray[np.int32]:
+    """Index into their set for each of ours, -1 without a mutual match."""
+    nodes1, d1, looks1 = ours
+    n, m = len(ours.nodes), len(theirs.nodes)
+    order, start, words, looks = _group(theirs, nodes)
+    radius, max_bits, ratio = limits
     reach, straight = _at_most(radius), -_at_most(-_MIN_COSINE)
     similar = np.empty(_BLOCK, np.uint8)
     flags = similar.view(np.uint64)
@@ -119,7 +162,7 @@ def _mutual(
     back_i = np.full(m, -1, np.int32)
     for i in range(n):
         a0, a1, a2, a3 = d1[i, 0], d1[i, 1], d1[i, 2], d1[i, 3]
-        low = _sector(looks1[i, 3]) - _REACH
+        low = _sector(looks1[i, _ANGLE]) - _REACH
         high = low + 2 * _REACH + 1
         nearest, next_nearest, at = _FAR, _FAR, -1
         for node in nodes1[i]:
@@ -169,9 +212,7 @@ def match_features(
     words1: NDArray[np.int32],
     words2: NDArray[np.int32],
     words: int,
-    radius_px: float,
-    max_bits: int,
-    ratio: float,
+    limits: MatchLimits,
 ) -> tuple[NDArray[np.intp], NDArray[np.int32]]:
     """Mutual nearest neighbours of similar words, near one another, of about equal size and orientation.
 
@@ -181,24 +222,13 @@ def match_features(
         words1: ``(len(first), p)`` nearest words of each feature, the nearest first.
         words2: ``(len(second), p)`` the same; only the nearest counts.
         words: number of words; 1 compares everything with everything.
-        radius_px: half the side of the search window [working px].
-        max_bits: largest Hamming distance.
-        ratio: best distance over second best, at most.
+        limits: window and distances.
 
     Returns:
         Indices ``(k,)`` into the first and ``(k,)`` into the second set.
     """
     found = _mutual(
-        words1,
-        np.ascontiguousarray(words2[:, 0]),
-        words,
-        first.descriptor,
-        second.descriptor,
-        _looks(first),
-        _looks(second),
-        radius_px,
-        max_bits,
-        ratio,
+        _Side(words1, first.descriptor, _looks(first)), _Side(words2, second.descriptor, _looks(second)), words, limits
     )
     chosen = np.flatnonzero(found >= 0)
     return chosen, found[chosen]

@@ -13,7 +13,7 @@ from mixo_env.experts.monocular.alignment import align_matches
 from mixo_env.experts.monocular.camera import MountedCamera
 from mixo_env.experts.monocular.config import MonocularConfig
 from mixo_env.experts.monocular.features import FeatureDetector, Features
-from mixo_env.experts.monocular.matching import match_features
+from mixo_env.experts.monocular.matching import MatchLimits, match_features
 from mixo_env.experts.monocular.motion import Motion, MotionPrior, estimate_motion
 from mixo_env.experts.monocular.vocabulary import GENERAL_VOCABULARY, load_vocabulary
 
@@ -99,9 +99,7 @@ class PairSolver:
             first.words,
             second.words,
             len(self._vocabulary),
-            radius,
-            config.match_max_bits,
-            config.match_ratio,
+            MatchLimits(radius, config.match_max_bits, config.match_ratio),
         )
         p1, p2 = first.features.position_px[i], second.features.position_px[j]
         flow = float(np.median(np.hypot(*(p2 - p1).T))) * 2**camera.halvings if len(i) else math.nan

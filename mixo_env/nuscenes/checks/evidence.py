@@ -4,12 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
+from mixo_env.nuscenes.checks.motion import Lag, Rates, lag_of, window_rates
 from mixo_env.nuscenes.limits import LONGEST_SCENE_S
-from mixo_env.nuscenes.scene import CameraReel, CanBus, FloatArray, IntArray
+from mixo_env.nuscenes.scene import CameraReel, CanBus, FloatArray, IntArray, Signal
 from mixo_env.nuscenes.tables import SceneInfo
+
+LAG_S = (-0.065, 0.085)
+"""How late poses may follow a gyro: -0.02 to 0 s on real scenes, up to 0.035 s on simulated ones."""
+
+DETECTABLE_RAD = 0.01
 
 
 @dataclass(frozen=True)
@@ -75,6 +82,42 @@ class Evidence:
     message_times_us: Mapping[str, IntArray]
     is_can_bus_readable: bool
     expects_can_bus: bool
+
+    @cached_property
+    def gyros(self) -> dict[str, Signal]:
+        """Yaw rates by message; those that come often enough to be compared in half-second windows."""
+        can_bus = self.can_bus
+        if can_bus is None:
+            return {}
+        gyros = {
+            "ms_imu": can_bus.imu_yaw_rate_radps,
+            "pose": can_bus.pose_yaw_rate_radps,
+            "production_gyro": can_bus.consumer_yaw_rate_radps,
+        }
+        return {message: gyro for message, gyro in gyros.items() if gyro is not None and len(gyro.timestamp_us) > 1}
+
+    @cached_property
+    def yaw_rates(self) -> dict[str, Rates]:
+        """Yaw rates of the poses and of a gyro over common windows, by message, where there are enough."""
+        rates = {} if self.path is None else {name: yaw_rates(self.path, gyro) for name, gyro in self.gyros.items()}
+        return {message: compared for message, compared in rates.items() if compared is not None}
+
+    @cached_property
+    def pose_lags(self) -> dict[str, Lag]:
+        """How late the true yaw follows a gyro, by message, where the car turns unevenly enough to tell."""
+        path = self.path
+        if path is None:
+            return {}
+        lags = {
+            message: lag_of(path.time_us, path.yaw_rad, gyro.timestamp_us, gyro.value, LAG_S, DETECTABLE_RAD)
+            for message, gyro in self.gyros.items()
+        }
+        return {message: lag for message, lag in lags.items() if lag is not None}
+
+
+def yaw_rates(path: TruePath, gyro: Signal) -> Rates | None:
+    """Yaw rates of the poses and of a gyro over common windows."""
+    return window_rates(path.time_us, path.yaw_rad, gyro.timestamp_us, gyro.value)
 
 
 def true_path(reels: Mapping[str, CameraReel]) -> TruePath | None:

@@ -6,9 +6,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from mixo_env.nuscenes.checks.evidence import Evidence, Finding, TruePath
-from mixo_env.nuscenes.checks.motion import Lag, Rates, integral, lag_of, window_rates
-from mixo_env.nuscenes.scene import CanBus, Signal
+from mixo_env.nuscenes.checks.evidence import DETECTABLE_RAD, LAG_S, Evidence, Finding, yaw_rates
+from mixo_env.nuscenes.checks.motion import integral, lag_of
+from mixo_env.nuscenes.scene import CanBus
 
 TURNING_RADPS = 0.05
 """The sign of a gyro can be told once the car turns faster than this for a second."""
@@ -26,31 +26,13 @@ FASTEST_RADPS = 3.0
 LARGEST_BIAS_RADPS = 0.03
 """Mean difference from the poses; below 0.002 on real scenes (``vehicle_monitor`` 0.007)."""
 
-LAG_S = (-0.065, 0.085)
-"""How late poses may follow a gyro: -0.02 to 0 s on real scenes, up to 0.035 s on simulated ones."""
-
-DETECTABLE_RAD = 0.01
 LAG_IS_CLEAR = 1.5
 """The best lag must fit better by this factor than any that is allowed."""
 
 
-def gyros_of(can_bus: CanBus) -> dict[str, Signal | None]:
-    """Yaw rates by message; those that come often enough to be compared in half-second windows."""
-    return {
-        "ms_imu": can_bus.imu_yaw_rate_radps,
-        "pose": can_bus.pose_yaw_rate_radps,
-        "production_gyro": can_bus.consumer_yaw_rate_radps,
-    }
-
-
-def yaw_rates_against(path: TruePath, gyro: Signal) -> Rates | None:
-    """Yaw rates of the poses and of a gyro over common windows."""
-    return window_rates(path.time_us, path.yaw_rad, gyro.timestamp_us, gyro.value)
-
-
 def gyro_sign(evidence: Evidence) -> Iterator[Finding]:
     """In turns a gyro turns with the poses."""
-    for message, rates in _compared(evidence):
+    for message, rates in evidence.yaw_rates.items():
         if rates.is_moving(TURNING_RADPS) and rates.correlation < CORRELATION:
             yield Finding(
                 "wrong-axis",
@@ -61,7 +43,7 @@ def gyro_sign(evidence: Evidence) -> Iterator[Finding]:
 
 def gyro_size(evidence: Evidence) -> Iterator[Finding]:
     """A gyro turns as much as the poses, in rad/s, and does not drift."""
-    for message, rates in _compared(evidence):
+    for message, rates in evidence.yaw_rates.items():
         turns = rates.is_moving(TURNING_RADPS)
         if turns and rates.correlation < CORRELATION:
             continue
@@ -73,7 +55,7 @@ def gyro_size(evidence: Evidence) -> Iterator[Finding]:
         biases = [float(np.mean(rates.sensed - factor * rates.true)) for factor in (slope, 1.0)]
         if abs(bias := min(biases, key=abs)) > LARGEST_BIAS_RADPS:
             yield Finding("gyro-size", f"{message}: its yaw rate is off by {bias:.3f} rad/s on average: another unit?")
-    for message, gyro in _present(evidence):
+    for message, gyro in evidence.gyros.items():
         if (fastest := float(np.abs(gyro.value).max())) > FASTEST_RADPS:
             yield Finding(
                 "gyro-size",
@@ -87,7 +69,7 @@ def _monitor_size(evidence: Evidence) -> Iterator[Finding]:
     monitor = evidence.can_bus.monitor_yaw_rate_radps if evidence.can_bus else None
     if monitor is None or evidence.path is None or len(monitor.timestamp_us) < 2:
         return
-    rates = yaw_rates_against(evidence.path, monitor)
+    rates = yaw_rates(evidence.path, monitor)
     low, high = MONITOR_SLOPES
     if rates is not None and np.abs(rates.true).max() > 2 * TURNING_RADPS and not low < rates.slope < high:
         yield Finding(
@@ -99,9 +81,8 @@ def _monitor_size(evidence: Evidence) -> Iterator[Finding]:
 
 def gyro_clock(evidence: Evidence) -> Iterator[Finding]:
     """The CAN bus and the poses have one clock."""
-    for message, gyro in _present(evidence):
-        lag = pose_lag(evidence.path, gyro) if evidence.path is not None else None
-        if lag is None or LAG_S[0] < lag.seconds < LAG_S[1]:
+    for message, lag in evidence.pose_lags.items():
+        if LAG_S[0] < lag.seconds < LAG_S[1]:
             continue
         if lag.residual_allowed > LAG_IS_CLEAR * lag.residual:
             yield Finding(
@@ -109,25 +90,6 @@ def gyro_clock(evidence: Evidence) -> Iterator[Finding]:
                 f"{message}: the poses turn {abs(lag.seconds):.2f} s {'after' if lag.seconds > 0 else 'before'} it; "
                 "one clock is expected",
             )
-
-
-def pose_lag(path: TruePath, gyro: Signal) -> Lag | None:
-    """How late the true yaw follows a gyro."""
-    return lag_of(path.time_us, path.yaw_rad, gyro.timestamp_us, gyro.value, LAG_S, DETECTABLE_RAD)
-
-
-def _present(evidence: Evidence) -> Iterator[tuple[str, Signal]]:
-    if evidence.can_bus is not None:
-        for message, gyro in gyros_of(evidence.can_bus).items():
-            if gyro is not None and len(gyro.timestamp_us) > 1:
-                yield message, gyro
-
-
-def _compared(evidence: Evidence) -> Iterator[tuple[str, Rates]]:
-    for message, gyro in _present(evidence):
-        rates = yaw_rates_against(evidence.path, gyro) if evidence.path is not None else None
-        if rates is not None:
-            yield message, rates
 
 
 def latency_s(can_bus: CanBus) -> float | None:

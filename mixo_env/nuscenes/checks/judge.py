@@ -131,10 +131,10 @@ def problems_of_folder(dataset: Dataset) -> list[str]:
     return [] if can_bus.is_dir() else [f"no folder {can_bus}: unpack the CAN bus expansion beside samples"]
 
 
-def judge(dataset: Dataset, name: str, cameras: tuple[str, ...] = CAMERAS) -> SceneReport:
+def judge(dataset: Dataset, name: str, cameras: tuple[str, ...] = CAMERAS, *, images: bool = True) -> SceneReport:
     """Check one scene: images, calibration, times, poses, CAN bus.
 
-    Of images a kilobyte is read, and nothing is decoded.
+    Of images a kilobyte is read, and nothing is decoded; without ``images`` their files are not looked at.
 
     Raises:
         ConfigurationError: no such scene or camera.
@@ -144,7 +144,7 @@ def judge(dataset: Dataset, name: str, cameras: tuple[str, ...] = CAMERAS) -> Sc
     report.notes += _known(dataset.version, info.name, info.conditions)
     evidence, unreadable = _read(dataset, name, cameras)
     report.problems += unreadable
-    for check in _FUNCTIONS:
+    for check in _FUNCTIONS if images else [check for check in _FUNCTIONS if check is not pictures.image_files]:
         for finding in check(evidence):
             (report.problems if finding.is_problem else report.notes).append(finding)
     _measure(report, evidence)
@@ -158,10 +158,12 @@ class JudgedDataset:
     Attributes:
         dataset: the folder.
         despite: checks whose problems are accepted.
+        images: their files are looked at.
     """
 
     dataset: Dataset
     despite: tuple[str, ...] = ()
+    images: bool = True
 
     def __post_init__(self) -> None:
         """Check the names.
@@ -190,7 +192,7 @@ class JudgedDataset:
             ConfigurationError: no such scene or camera.
             DatasetError: it has a problem that is not accepted, or cannot be read.
         """
-        problems = judge(self.dataset, name, cameras).problems
+        problems = judge(self.dataset, name, cameras, images=self.images).problems
         refusing = [finding for finding in problems if finding.check not in self.despite]
         if refusing:
             more = f" (and {len(refusing) - 1} more, see `mixo inspect`)" if len(refusing) > 1 else ""
@@ -264,11 +266,10 @@ def _measure(report: SceneReport, evidence: Evidence) -> None:
     if (wheel := can_bus.wheel_speed_radps) is not None:
         report.wheel_ratio = wheels.wheel_ratio(wheel, path)
     if (imu := can_bus.imu_yaw_rate_radps) is not None and len(imu.timestamp_us) > 1:
-        compared = gyro.yaw_rates_against(path, imu)
-        if compared is not None:
+        if (compared := evidence.yaw_rates.get("ms_imu")) is not None:
             report.truth_noise_deg = float(np.degrees(0.5 * np.std(compared.true - compared.sensed)))
             if compared.is_moving(gyro.TURNING_RADPS):
                 report.gyro_correlation = compared.correlation
-        if (lag := gyro.pose_lag(path, imu)) is not None:
+        if (lag := evidence.pose_lags.get("ms_imu")) is not None:
             report.pose_lag_s = lag.seconds
         report.imu_latency_s = gyro.latency_s(can_bus)

@@ -116,17 +116,21 @@ def lag_of(
     at_us = np.arange(begin, end, GRID_US)
     true = np.interp(1e-6 * (at_us - time_us[0]), 1e-6 * (time_us - time_us[0]), value)
     drift = np.linspace(-1.0, 1.0, len(at_us))
-    basis, _ = np.linalg.qr(np.column_stack([np.ones(len(at_us)), drift]))
+    drift /= np.linalg.norm(drift)
+    true = true - true.mean()
+    true -= (drift @ true) * drift
     # Lags are whole steps of the grid: one integral over a longer grid holds the shifted ones, the latest lag first.
     steps = margin_us // GRID_US
     lags: FloatArray = 1e-6 * GRID_US * np.arange(-steps, steps + 1, dtype=np.float64)
     longer = integral(sensor_us, sensor_rate, begin + GRID_US * np.arange(-steps, len(at_us) + steps))
-    shifted = np.lib.stride_tricks.sliding_window_view(longer, len(at_us))[::-1].copy()
-    true = true - basis @ (basis.T @ true)
-    shifted -= (shifted @ basis) @ basis.T
-    power = np.einsum("ij,ij->i", shifted, shifted)
-    scale = np.divide(shifted @ true, power, out=np.zeros(len(lags)), where=power > 1e-12)
-    residual = np.sqrt(np.mean((true - scale[:, None] * shifted) ** 2, axis=1))
+    longer -= longer.mean()
+    # What offset and drift leave of a shifted integral: its power, and its product with the true value.
+    sums, squares = (np.concatenate([[0.0], np.cumsum(values)]) for values in (longer, longer**2))
+    power = squares[len(at_us) :] - squares[: -len(at_us)] - np.correlate(longer, drift, "valid") ** 2
+    power = (power - (sums[len(at_us) :] - sums[: -len(at_us)]) ** 2 / len(at_us))[::-1]
+    product = np.correlate(longer, true, "valid")[::-1]
+    explained = np.divide(product**2, power, out=np.zeros(len(lags)), where=power > 1e-12)
+    residual = np.sqrt(np.maximum(true @ true - explained, 0.0) / len(at_us))
     if residual.max() - residual.min() < detectable or residual.max() < 3.0 * residual.min():
         return None
     best = int(residual.argmin())

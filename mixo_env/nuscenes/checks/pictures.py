@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import re
 from collections.abc import Iterator, Mapping
+from pathlib import Path
 
 import numpy as np
 
@@ -28,12 +29,35 @@ def image_files(evidence: Evidence) -> Iterator[Finding]:
         width, height = reel.calibration.width, reel.calibration.height
         faults = {
             position: fault
-            for position, path in enumerate(reel.image_files())
-            if (fault := image_fault(path, width, height)) is not None
+            for position, (path, there) in enumerate(_with_folders(reel.image_files()))
+            if (fault := image_fault(path, width, height) if there else "missing") is not None
         }
         hint = ": only key frames are unpacked? see --key-frames" if _no_sweeps(faults, reel) else ""
+        if list(faults.values()) == ["missing"] * len(reel.image_paths):
+            hint = ": none is unpacked? see --no-images of `mixo record`"
         for text in describe_broken(camera, faults, reel.image_paths):
             yield Finding("images", text + hint, is_problem=too_many_broken(faults, len(reel.image_paths)))
+
+
+def _with_folders(files: list[str]) -> Iterator[tuple[str, bool]]:
+    """Every file, and whether its folder is there: without, there is nothing to open, as with tables alone."""
+    there: dict[str, bool] = {}
+    for file in files:
+        folder = file.rpartition(os.sep)[0]
+        if folder not in there:
+            there[folder] = not _is_missing(folder)
+        yield file, there[folder]
+
+
+def _is_missing(folder: str) -> bool:
+    """Nothing is there; what is there and cannot be read is another matter."""
+    try:
+        Path(folder).stat()
+    except FileNotFoundError:
+        return True
+    except OSError:
+        pass
+    return False
 
 
 def _no_sweeps(faults: Mapping[int, str], reel: CameraReel) -> bool:
@@ -87,7 +111,7 @@ def image_names(evidence: Evidence) -> Iterator[Finding]:
         wrong = [
             file
             for file, time in zip(files, reel.timestamp_us.tolist(), strict=True)
-            if (match := _STAMP.search(file)) and int(match[1]) != time
+            if not file.endswith(f"__{time}.jpg") and (match := _STAMP.search(file)) and int(match[1]) != time
         ]
         if wrong:
             yield Finding(
@@ -103,5 +127,6 @@ def image_names(evidence: Evidence) -> Iterator[Finding]:
 
 def _of_another_camera(camera: str, files: list[str]) -> list[str]:
     """Files in a folder named after another camera; folders that are not named so say nothing."""
-    ends = (file.rsplit(os.sep, 2)[1:] for file in files)
-    return ["/".join(parts) for parts in ends if parts[0].startswith("CAM_") and parts[0] != camera]
+    own = f"{os.sep}{camera}"
+    ends = (file.rsplit(os.sep, 2)[1:] for file in files if not file.rpartition(os.sep)[0].endswith(own))
+    return ["/".join(parts) for parts in ends if parts[0].startswith("CAM_")]

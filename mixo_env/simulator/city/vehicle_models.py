@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -112,72 +113,109 @@ _SHAPES = {
 }
 
 
+class _Frame(NamedTuple):
+    """Where points of a vehicle's side are in its picture: half its length, its height, texels per metre."""
+
+    half_m: float
+    height_m: float
+    per_m: float
+
+    def at(self, x: float, z: float) -> tuple[int, int]:
+        """Column and row of a point."""
+        return int((self.half_m - x) * self.per_m), int((self.height_m - z) * self.per_m)
+
+    def outline(self, points: tuple[tuple[float, float], ...]) -> NDArray[np.int32]:
+        """Columns and rows of a polygon's corners in 1/16 texels, as OpenCV takes them with a shift of 4."""
+        column = (self.half_m - np.array(points)[:, 0]) * self.per_m
+        row = (self.height_m - np.array(points)[:, 1]) * self.per_m
+        return (16 * np.stack([column, row], axis=1)).astype(np.int32)
+
+
 def _side(rng: np.random.Generator, kind: str, paint: NDArray[np.float32]) -> tuple[Bytes, float]:
     """Picture of the left side (front to the left as seen by the viewer), 512 texels long, and its texels per metre."""
     shape, size = _SHAPES[kind], VEHICLE_KINDS[kind]
-    per_m = 512.0 / size.length_m
+    frame = _Frame(0.5 * size.length_m, size.height_m, 512.0 / size.length_m)
     height = 256
-
-    def texels(points: tuple[tuple[float, float], ...]) -> NDArray[np.int32]:
-        column = (0.5 * size.length_m - np.array(points)[:, 0]) * per_m
-        row = (size.height_m - np.array(points)[:, 1]) * per_m
-        return (16 * np.stack([column, row], axis=1)).astype(np.int32)
-
-    def at(x: float, z: float) -> tuple[int, int]:
-        return int((0.5 * size.length_m - x) * per_m), int((size.height_m - z) * per_m)
-
     rows = np.linspace(1.25, 0.62, height, dtype=np.float32)[:, None, None]
     image: Floats = (
         paint * np.broadcast_to(rows, (height, 512, 1)) + 1.5 * spectral_noise(height, 512, 1.0, rng)[..., None]
     )
     image = np.ascontiguousarray(image)
     covered = np.zeros((height, 512), np.uint8)
-    cv2.fillPoly(covered, [texels(shape.profile)], 255, cv2.LINE_8, 4)
-    sill = at(0.0, 0.48 + 0.2 * (kind == "truck"))[1]
+    cv2.fillPoly(covered, [frame.outline(shape.profile)], 255, cv2.LINE_8, 4)
+    sill = frame.at(0.0, 0.48 + 0.2 * (kind == "truck"))[1]
     image[sill:] = 28.0
     if kind == "truck":
-        cut = at(2.32, 0.0)[0]
-        image[: sill - 4, cut : cut + 4] = 20.0
-        box_colour = 235.0 * np.ones(3) if rng.random() < 0.6 else paint
-        image[:sill, cut + 4 :] = box_colour * rows[:sill]
-        for x in range(cut + 30, 512, 38):
-            image[:sill, x : x + 2] *= 0.88
-        band = rng.uniform(30, 220, 3)
-        image[90:106, cut + 4 :] = band
-        write(image, " ".join(str(word) for word in rng.choice(WORDS, 2)), (cut + 30, 78), 1.5, band, 4)
+        _load_box(image, rng, paint * rows[:sill], rows[:sill], frame.at(2.32, 0.0)[0])
     for window in shape.windows:
-        pane = texels(window)
-        cv2.fillPoly(image, [pane], (46.0, 54.0, 62.0), cv2.LINE_AA, 4)
-        cv2.polylines(image, [pane], True, (14.0, 14.0, 15.0), 3, cv2.LINE_AA, 4)
-        low, high = pane.min(axis=0) // 16, pane.max(axis=0) // 16
-        glare = np.zeros(image.shape[:2], np.uint8)
-        cv2.fillPoly(glare, [pane], 255, cv2.LINE_8, 4)
-        slant = ((np.arange(512)[None, :] + np.arange(height)[:, None]) % 90 < 26) & (glare > 0)
-        image[slant] += 38.0
+        pane = frame.outline(window)
+        _window(image, pane)
         if kind != "truck":
-            x = int(high[0]) + 3
-            image[int(low[1]) : sill - 6, x : x + 2] *= 0.35  # gap of the door
-            image[int(high[1]) + 8 : int(high[1]) + 12, x - 34 : x - 12] *= 0.45  # handle
+            _door(image, pane, sill)
     if kind == "van":
-        cut = at(-0.1, 0.0)[0]
+        cut = frame.at(-0.1, 0.0)[0]
         image[20:sill, cut : cut + 2] *= 0.4
         if rng.random() < 0.6:
-            write(image, str(rng.choice(WORDS)), (at(-0.3, 0.0)[0], 120), 1.6, rng.uniform(0, 220, 3), 4)
-    head, tail = at(0.5 * size.length_m - 0.25, 0.72), at(-0.5 * size.length_m + 0.2, 0.9)
+            write(image, str(rng.choice(WORDS)), (frame.at(-0.3, 0.0)[0], 120), 1.6, rng.uniform(0, 220, 3), 4)
     if kind != "truck":
+        head, tail = frame.at(frame.half_m - 0.25, 0.72), frame.at(0.2 - frame.half_m, 0.9)
         cv2.ellipse(image, head, (22, 8), 8, 0, 360, (225.0, 232.0, 236.0), -1, cv2.LINE_AA)
         cv2.rectangle(image, (tail[0], tail[1] - 12), (511, tail[1] + 10), (150.0, 22.0, 22.0), -1)
-    tyre = int(shape.wheel_m * per_m)
+    tyre = int(shape.wheel_m * frame.per_m)
     for axle in shape.axles:
-        hub = at(axle, shape.wheel_m)
-        cv2.circle(image, hub, int(1.18 * tyre), (10.0,) * 3, -1, cv2.LINE_AA)
-        cv2.circle(image, hub, tyre, (34.0, 34.0, 35.0), -1, cv2.LINE_AA)
-        cv2.circle(image, hub, int(0.64 * tyre), (150.0, 152.0, 155.0), -1, cv2.LINE_AA)
-        for spoke in np.arange(5) * 2.0 * np.pi / 5.0:
-            tip = (int(hub[0] + 0.6 * tyre * np.cos(spoke)), int(hub[1] + 0.6 * tyre * np.sin(spoke)))
-            cv2.line(image, hub, tip, (60.0, 60.0, 62.0), max(2, tyre // 6), cv2.LINE_AA)
+        hub = frame.at(axle, shape.wheel_m)
+        _wheel(image, hub, tyre)
         cv2.circle(covered, hub, tyre, 255, -1)
-    return rgba(image, covered.astype(np.float32)), per_m
+    return rgba(image, covered.astype(np.float32)), frame.per_m
+
+
+def _load_box(image: Floats, rng: np.random.Generator, painted: Floats, rows: Floats, cut: int) -> None:
+    """A lorry's box with its ribs, a band and a name: white, or ``painted`` like the cab before column ``cut``.
+
+    Args:
+        image: of the side; changed in place.
+        rng: of the colours and the name.
+        painted: what stands over the sill in the vehicle's colour.
+        rows: brightness of those rows.
+        cut: first column of the gap between cab and box.
+    """
+    sill = len(rows)
+    image[: sill - 4, cut : cut + 4] = 20.0
+    image[:sill, cut + 4 :] = 235.0 * np.ones(3) * rows if rng.random() < 0.6 else painted
+    for x in range(cut + 30, 512, 38):
+        image[:sill, x : x + 2] *= 0.88
+    band = rng.uniform(30, 220, 3)
+    image[90:106, cut + 4 :] = band
+    write(image, " ".join(str(word) for word in rng.choice(WORDS, 2)), (cut + 30, 78), 1.5, band, 4)
+
+
+def _window(image: Floats, pane: NDArray[np.int32]) -> None:
+    """Dark glass with a rubber frame and slanting reflections."""
+    cv2.fillPoly(image, [pane], (46.0, 54.0, 62.0), cv2.LINE_AA, 4)
+    cv2.polylines(image, [pane], True, (14.0, 14.0, 15.0), 3, cv2.LINE_AA, 4)
+    height, width = image.shape[:2]
+    glare = np.zeros((height, width), np.uint8)
+    cv2.fillPoly(glare, [pane], 255, cv2.LINE_8, 4)
+    slant = ((np.arange(width)[None, :] + np.arange(height)[:, None]) % 90 < 26) & (glare > 0)
+    image[slant] += 38.0
+
+
+def _door(image: Floats, pane: NDArray[np.int32], sill: int) -> None:
+    """The gap of a door from its window down to the sill, and its handle."""
+    low, high = pane.min(axis=0) // 16, pane.max(axis=0) // 16
+    x = int(high[0]) + 3
+    image[int(low[1]) : sill - 6, x : x + 2] *= 0.35
+    image[int(high[1]) + 8 : int(high[1]) + 12, x - 34 : x - 12] *= 0.45
+
+
+def _wheel(image: Floats, hub: tuple[int, int], tyre: int) -> None:
+    """Wheel arch, tyre and a rim with five spokes; ``tyre`` is its radius in texels."""
+    cv2.circle(image, hub, int(1.18 * tyre), (10.0,) * 3, -1, cv2.LINE_AA)
+    cv2.circle(image, hub, tyre, (34.0, 34.0, 35.0), -1, cv2.LINE_AA)
+    cv2.circle(image, hub, int(0.64 * tyre), (150.0, 152.0, 155.0), -1, cv2.LINE_AA)
+    for spoke in np.arange(5) * 2.0 * np.pi / 5.0:
+        tip = (int(hub[0] + 0.6 * tyre * np.cos(spoke)), int(hub[1] + 0.6 * tyre * np.sin(spoke)))
+        cv2.line(image, hub, tip, (60.0, 60.0, 62.0), max(2, tyre // 6), cv2.LINE_AA)
 
 
 def _end(rng: np.random.Generator, kind: str, paint: NDArray[np.float32], front: bool) -> Bytes:

@@ -82,21 +82,11 @@ def lamp_light(lamps: NDArray[np.float64]) -> NDArray[np.float32]:
     return np.ascontiguousarray(light[reach:-reach, reach:-reach])
 
 
-def build_world(
-    seed: int,
-    *,
-    blank_walls: float = 0.12,
-    parked: float = 0.6,
-    grain: float = 1.0,
-    blank_sides: Collection[BlockSide] = (),
-    half_blocks: int = HALF_CITY_BLOCKS,
-    variety: int = 28,
-    ground_side: int = 4096,
-) -> World:
-    """Build the city of ``seed``; the same arguments give the same bits.
+@dataclass(frozen=True)
+class CityPlan:
+    """What kind of city to build.
 
-    Args:
-        seed: decides textures, houses, furniture, parked cars and the position of the sun.
+    Attributes:
         blank_walls: share of plots with windowless buildings; 0.85 makes feature trackers fail.
         parked: share of parking places taken.
         grain: strength of the fine grain of all surfaces; 0.3 gives a city with little texture.
@@ -108,29 +98,51 @@ def build_world(
     Raises:
         ConfigurationError: for shares outside 0..1, an unknown side or a city larger than its maps.
     """
-    for name, share in (("blank_walls", blank_walls), ("parked", parked)):
-        if not 0.0 <= share <= 1.0:
-            raise ConfigurationError(f"{name} is a share and must lie in 0..1, got {share}")
-    if not 1 <= half_blocks <= HALF_CITY_BLOCKS:
-        raise ConfigurationError(f"half_blocks must lie in 1..{HALF_CITY_BLOCKS}, got {half_blocks}")
-    for side in blank_sides:
-        if side[2] not in SIDES:
-            raise ConfigurationError(f"blank side {side!r}: the side must be one of {', '.join(SIDES)}")
+
+    blank_walls: float = 0.12
+    parked: float = 0.6
+    grain: float = 1.0
+    blank_sides: Collection[BlockSide] = ()
+    half_blocks: int = HALF_CITY_BLOCKS
+    variety: int = 28
+    ground_side: int = 4096
+
+    def __post_init__(self) -> None:
+        for name, share in (("blank_walls", self.blank_walls), ("parked", self.parked)):
+            if not 0.0 <= share <= 1.0:
+                raise ConfigurationError(f"{name} is a share and must lie in 0..1, got {share}")
+        if not 1 <= self.half_blocks <= HALF_CITY_BLOCKS:
+            raise ConfigurationError(f"half_blocks must lie in 1..{HALF_CITY_BLOCKS}, got {self.half_blocks}")
+        for side in self.blank_sides:
+            if side[2] not in SIDES:
+                raise ConfigurationError(f"blank side {side!r}: the side must be one of {', '.join(SIDES)}")
+
+
+_USUAL = CityPlan()
+
+
+def build_world(seed: int, plan: CityPlan = _USUAL) -> World:
+    """Build the city of ``seed``; the same arguments give the same bits.
+
+    Args:
+        seed: decides textures, houses, furniture, parked cars and the position of the sun.
+        plan: what kind of city.
+    """
     texture_rng, sun_rng, tree_rng = (np.random.default_rng([seed, part]) for part in range(3))
     atlas = Atlas()
-    ground_per_m = ground_side / GROUND_PERIOD_M
-    ground = atlas.add(ground_texture(texture_rng, ground_side))
-    materials = city_materials(atlas, texture_rng, ground, ground_per_m, variety, grain)
+    ground_per_m = plan.ground_side / GROUND_PERIOD_M
+    ground = atlas.add(ground_texture(texture_rng, plan.ground_side))
+    materials = city_materials(atlas, texture_rng, ground, ground_per_m, plan.variety, plan.grain)
     vehicles = vehicle_models(atlas, texture_rng, ground, ground_per_m)
     azimuth, elevation = sun_rng.uniform(0.0, 2.0 * np.pi), np.deg2rad(sun_rng.uniform(30.0, 62.0))
     sun = np.array([np.cos(azimuth) * np.cos(elevation), np.sin(azimuth) * np.cos(elevation), np.sin(elevation)])
     trees = [tree(materials, tree_rng) for _ in range(12)]
     lamp, signals = street_lamp(materials, tree_rng), traffic_light(materials, tree_rng)
-    city = City(materials, trees, lamp, signals, vehicles, Shadows(sun), blank_walls, parked)
+    city = City(materials, trees, lamp, signals, vehicles, Shadows(sun), plan.blank_walls, plan.parked)
     half = _GROUND_HALF_M
     road = mesh_of([quad(materials.ground, (-half, half, 0.0), (2.0 * half, 0.0, 0.0), (0.0, -2.0 * half, 0.0))])
     city.groups.append(ground_aligned(road, ground_per_m))
-    _blocks(city, seed, half_blocks, set(blank_sides))
+    _blocks(city, seed, plan.half_blocks, set(plan.blank_sides))
 
     detail, detail_start = grain_levels(detail_tile(texture_rng))
     texels, table = atlas.packed()
