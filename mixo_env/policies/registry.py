@@ -15,12 +15,13 @@ from mixo_env.policies.policy import Policy
 from mixo_env.policies.reinforcement import PPO
 from mixo_env.policies.robust import Huber, Mean, Median
 from mixo_env.policies.single import Single
+from mixo_env.policies.token_gate import Token
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.variants import variants
 
 POLICIES: dict[str, type[Policy]] = {
     policy.name: policy
-    for policy in (HighestMatch, Mean, Median, Linear, Huber, Mixo, PPO, MulticameraGT, OracleAll, OracleHull)
+    for policy in (HighestMatch, Mean, Median, Linear, Huber, Mixo, Token, PPO, MulticameraGT, OracleAll, OracleHull)
 }
 """Name -> class, in the order of the tables; every expert alone (:class:`Single`) comes before them."""
 
