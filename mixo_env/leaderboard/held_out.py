@@ -52,6 +52,8 @@ def table_of(test: Recordings, track: str, travels: Mapping[Policy, Travel], *, 
     comparisons = scorer.compare(rows)
     texts = [cells(row, comparisons) for section in sections(rows) for row in section]
     logs = len({scene.log for scene in test.scenes})
-    caption = f"Track {track}, {len(test)} held-out scenes of {logs} logs; † reads ground truth, * has no vote"
+    caption = (
+        f"Track {track}, {len(test)} held-out scenes of {logs} logs; † reads ground truth or the future, * has no vote"
+    )
     lines = [[text[column] for column in COLUMNS] for text in texts]
     return Table(caption, tuple(map(Column, COLUMNS)), lines).text()

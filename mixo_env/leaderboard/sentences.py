@@ -32,7 +32,7 @@ LEGEND = (
     "share one; - LINEAR, - MIXO: paired difference in RTE deg/m and its Holm-corrected p; ATE: mean over scenes; "
     "lost: tracks lost per scene, mean ± standard deviation (a fused method loses track when no camera tracks; -: no "
     "track to lose); yaw: RMSE of one step's increment; > 0.5 m: share of scenes with a larger ATE. † reads ground "
-    "truth; * has no vote in this track."
+    "truth or the future; * has no vote in this track."
 )
 
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mixo_env.envs.actions import ActionRule, Weighting
 from mixo_env.envs.observation import PAPER, RICH
@@ -102,6 +103,7 @@ class Frozen(Policy):
         self.name, self.fitted_on = name, fitted_on
         self.policy = policy
         self.privileged = bool(policy.privileged)  # type: ignore[misc]
+        self.lag = int(policy.lag)  # type: ignore[misc]
 
     def weighted(self, voters: tuple[str, ...]) -> tuple[str, ...]:
         """As the policy itself."""
@@ -116,6 +118,10 @@ class Frozen(Policy):
     def reset(self, batch: int) -> None:
         """Forget the past."""
         self.policy.reset(batch)
+
+    def preview(self, observation: Observation, active: NDArray[np.bool_]) -> None:
+        """Show it the future, if it asks for it."""
+        self.policy.preview(observation, active)
 
     def act(self, observation: Observation) -> Weights:
         """Its weights."""

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 
 from mixo_env.envs.replay import Replay
 from mixo_env.metrics.pairs import find_pairs, path_length
-from mixo_env.policies.tokens import UNIT_RAD, Memory, Seen, Usual, read, tokenise
+from mixo_env.policies.calibration import Calibration
+from mixo_env.policies.tokens import UNIT_RAD, Memory, Seen, read, tokenise
 from mixo_env.recordings.collection import Recordings
 
 FloatArray = NDArray[np.float64]
@@ -44,7 +45,7 @@ class Lessons:
     pieces: tuple[Piece, ...]
 
 
-def lessons(training: Recordings, track: str, usual: Usual, spoilt: int, seed: int) -> Lessons:
+def lessons(training: Recordings, track: str, calibration: Calibration, spoilt: int, seed: int) -> Lessons:
     """Training scenes, and ``spoilt`` times the same with experts that drop out or break.
 
     In every other of those nothing is known of the experts beforehand: so a gate learns to judge strangers.
@@ -52,26 +53,27 @@ def lessons(training: Recordings, track: str, usual: Usual, spoilt: int, seed: i
     Args:
         training: with true increments.
         track: whose experts vote.
-        usual: their scales.
+        calibration: of the voters.
         spoilt: spoilt versions of each scene.
         seed: of what befalls them.
     """
     rng = np.random.default_rng(seed)
-    seen, truth, active = watch(training, track)
-    nothing = Usual(np.full_like(usual.scale_rad, np.nan), np.full_like(usual.share, np.nan))
-    versions = [(seen, usual), *((spoil(seen, active, rng), usual if k % 2 else nothing) for k in range(spoilt))]
-    told = [told_in_tokens(one, known) for one, known in versions]
+    seen, truth, active = watch(training, track, calibration)
+    versions = [seen, *(spoil(seen, active, rng, strangers=k % 2 == 0) for k in range(spoilt))]
+    told = [told_in_tokens(one) for one in versions]
     return Lessons(
         *(np.concatenate([parts[j] for parts in told]) for j in range(3)),
-        voting=_scenes_first([one.voting for one, _ in versions]),
-        increment=_scenes_first([one.increment for one, _ in versions]).astype(np.float32),
+        voting=_scenes_first([one.voting for one in versions]),
+        increment=_scenes_first([one.increment for one in versions]).astype(np.float32),
         truth=_scenes_first([truth] * len(versions)).astype(np.float32),
         active=_scenes_first([active] * len(versions)),
         pieces=pieces(training) * len(versions),
     )
 
 
-def watch(training: Recordings, track: str) -> tuple[Seen, FloatArray, NDArray[np.bool_]]:
+def watch(
+    training: Recordings, track: str, calibration: Calibration
+) -> tuple[Seen, FloatArray, NDArray[np.bool_]]:
     """All scenes side by side: what is seen, with ``(steps, scenes)`` in front, true increments, and who still drives.
 
     Counts keep their four kinds in front. What is seen does not depend on the weights, but for the previous yaw rate,
@@ -84,17 +86,23 @@ def watch(training: Recordings, track: str) -> tuple[Seen, FloatArray, NDArray[n
     while not replay.done.all():
         active.append(~replay.done)
         look = replay.observe()
-        steps.append(read(look))
+        steps.append(read(look, calibration))
         truth.append((look["truth_yaw_rate"] * look["dt"])[:, 0].astype(np.float64) / UNIT_RAD)
         replay.step(weights)
     counts = np.stack([step.counts for step in steps], axis=1)
-    stacked = [np.stack([getattr(step, name) for step in steps]) for name in ("increment", "std", "voting", "step")]
-    return Seen(*stacked[:3], counts, stacked[3]), np.stack(truth), np.stack(active)
+    names = ("increment", "stated", "std", "voting", "step")
+    *experts, step = (np.stack([getattr(one, name) for one in steps]) for name in names)
+    return Seen(*experts, counts, step), np.stack(truth), np.stack(active)
 
 
-def spoil(seen: Seen, active: NDArray[np.bool_], rng: np.random.Generator) -> Seen:
-    """The same scenes with experts missing throughout, and with one that breaks for a while."""
-    increment, std, voting = seen.increment.copy(), seen.std.copy(), seen.voting.copy()
+def spoil(seen: Seen, active: NDArray[np.bool_], rng: np.random.Generator, *, strangers: bool) -> Seen:
+    """The same scenes with experts missing throughout, and with one that breaks for a while.
+
+    With ``strangers`` nothing is known of any expert beforehand.
+    """
+    increment, stated, std, voting = (x.copy() for x in (seen.increment, seen.stated, seen.std, seen.voting))
+    if strangers:
+        std[:] = np.inf
     experts = increment.shape[2]
     for scene in range(increment.shape[1]):
         if experts > 2 and rng.random() < DROPOUT:
@@ -107,8 +115,8 @@ def spoil(seen: Seen, active: NDArray[np.bool_], rng: np.random.Generator) -> Se
             expert = rng.integers(experts)
             increment[first:stop, scene, expert] = broken(increment[first:stop, scene, expert], rng)
             if rng.random() < 0.5:
-                std[first:stop, scene, expert] = 0.0
-    return seen._replace(increment=increment, std=std, voting=voting)
+                stated[first:stop, scene, expert] = 0.0
+    return seen._replace(increment=increment, stated=stated, std=std, voting=voting)
 
 
 def broken(increment: FloatArray, rng: np.random.Generator) -> FloatArray:
@@ -124,12 +132,12 @@ def broken(increment: FloatArray, rng: np.random.Generator) -> FloatArray:
     )[rng.integers(5)]
 
 
-def told_in_tokens(seen: Seen, usual: Usual) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+def told_in_tokens(seen: Seen) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
     """Signals, whole and consensus of all steps, ``(scenes, steps, ...)``."""
     steps, scenes, experts = seen.increment.shape
     memory = Memory.blank(scenes, experts)
     told = [
-        tokenise(Seen(seen.increment[t], seen.std[t], seen.voting[t], seen.counts[:, t], seen.step[t]), usual, memory)
+        tokenise(Seen(*(x[t] for x in seen[:4]), seen.counts[:, t], seen.step[t]), memory)
         for t in range(steps)
     ]
     signals, whole, consensus = (np.stack([step[j] for step in told], axis=1).astype(np.float32) for j in range(3))

@@ -29,13 +29,17 @@ class Linear(Policy):
     def fit(self, training: Recordings, track: str, *, seed: int = 0) -> None:
         """Solve for the weights; lost experts count with their inertial substitutes, as they will when scored."""
         super().fit(training, track)
-        increments, truth = substituted_increments(training, track), training["truth.yaw_increment_rad"]
-        steps = np.isfinite(truth) & np.isfinite(increments).all(axis=1)  # not row 0 of a scene
-        self.weights = least_squares_weights(increments[steps], truth[steps])
+        self.weights = least_squares_weights(*self._samples(training, track))
 
     def act(self, observation: Observation) -> Weights:
         """The same row for every scene and step."""
         return np.tile(self.weights, (len(observation["yaw_rates"]), 1))
+
+    def _samples(self, training: Recordings, track: str) -> tuple[Weights, Weights]:
+        """Increments ``(T, experts)`` and true increments ``(T,)`` of all steps."""
+        increments, truth = substituted_increments(training, track), training["truth.yaw_increment_rad"]
+        steps = np.isfinite(truth) & np.isfinite(increments).all(axis=1)  # not row 0 of a scene
+        return increments[steps], truth[steps]
 
     def tensors(self) -> dict[str, NDArray[Any]]:
         """The weights."""

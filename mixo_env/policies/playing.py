@@ -20,11 +20,28 @@ def play(policy: Policy, replay: Replay) -> Iterator[tuple[NDArray[np.bool_], Ob
     """
     replay.reset(np.arange(len(replay)))
     policy.reset(len(replay))
+    look_ahead = _foresight(policy, replay) if policy.lag else None
     while not replay.done.all():
         active = ~replay.done
+        if look_ahead is not None:
+            next(look_ahead)
         observation = replay.observe()
         replay.step(policy.act(observation))
         yield active, observation
+
+
+def _foresight(policy: Policy, replay: Replay) -> Iterator[None]:
+    """Drive the same scenes ``policy.lag`` steps ahead of it and tell it what is seen there."""
+    scout = replay.another(len(replay), keep_trajectories=False)
+    scout.reset(np.arange(len(replay)))
+    nothing = np.zeros((len(replay), len(replay.experts)))
+    shown = 0
+    while True:
+        policy.preview(scout.observe(), ~scout.done)
+        scout.step(nothing)
+        shown += 1
+        if shown > policy.lag:
+            yield
 
 
 def collect(recordings: Recordings, track: str, policy: Policy) -> Observation:

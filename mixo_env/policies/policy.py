@@ -29,10 +29,11 @@ class Policy(abc.ABC):
 
     Attributes:
         name: as printed in tables.
-        privileged: whether the policy reads ground truth; its name then says so too. Only a privileged policy finds
-            ``truth_yaw_rate`` in its observation.
+        privileged: whether the policy reads ground truth or the future; its name then says so too. Only a privileged
+            policy finds ``truth_yaw_rate`` in its observation.
         learns: whether it is fitted on training scenes, anew for every fold. :meth:`fit` of others is never called.
         any_experts: what it learned names no expert, so it plays with others than those it was fitted with.
+        lag: steps of the future that it sees; where it is not 0 the policy is privileged, and its name says so.
         expensive: too slow to fit for every fold; it is then tested on the last one only, and compared there.
         experts: those it weights, in the order of the weights; set by :meth:`start` or :meth:`load`.
         fitted_on: hashes of the drives it was fitted on, where it is refused; set by
@@ -43,6 +44,7 @@ class Policy(abc.ABC):
     privileged: ClassVar[bool] = False
     learns: ClassVar[bool] = False
     any_experts: ClassVar[bool] = False
+    lag: ClassVar[int] = 0
     expensive: ClassVar[bool] = False
     experts: tuple[str, ...] = ()
     fitted_on: frozenset[str] = frozenset()
@@ -61,6 +63,9 @@ class Policy(abc.ABC):
 
     def reset(self, batch: int) -> None:
         """Forget the past: ``batch`` scenes start. Stateless policies inherit this and do nothing."""
+
+    def preview(self, observation: Observation, active: NDArray[np.bool_]) -> None:
+        """See a step ``lag`` steps before it is decided, where scenes are still ``active``; not called if that is 0."""
 
     @abc.abstractmethod
     def act(self, observation: Observation) -> Weights:

@@ -7,21 +7,35 @@ from pathlib import Path
 
 from mixo_env.errors import ConfigurationError, PolicyError, printable, unknown
 from mixo_env.policies import plugins, storage
+from mixo_env.policies.affine_gate import LinearGate
+from mixo_env.policies.bias_filter import BiasFilter
+from mixo_env.policies.consensus import StudentT
+from mixo_env.policies.covariance_intersection import CovarianceIntersection
+from mixo_env.policies.fixed_share import FixedShare
 from mixo_env.policies.gate import Mixo
+from mixo_env.policies.inverse_variance import InverseVariance
 from mixo_env.policies.linear import Linear
 from mixo_env.policies.match import HighestMatch
 from mixo_env.policies.oracle import MulticameraGT, OracleAll, OracleHull
 from mixo_env.policies.policy import Policy
 from mixo_env.policies.reinforcement import PPO
 from mixo_env.policies.robust import Huber, Mean, Median
+from mixo_env.policies.simplex import LinearSimplex
 from mixo_env.policies.single import Single
+from mixo_env.policies.smoother import Smoother
+from mixo_env.policies.softmin import Softmin
 from mixo_env.policies.token_gate import Token
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.variants import variants
 
 POLICIES: dict[str, type[Policy]] = {
     policy.name: policy
-    for policy in (HighestMatch, Mean, Median, Linear, Huber, Mixo, Token, PPO, MulticameraGT, OracleAll, OracleHull)
+    for policy in (
+        *(HighestMatch, Mean, Median, Linear, LinearSimplex),
+        *(InverseVariance, CovarianceIntersection, Huber, StudentT, Softmin, FixedShare, BiasFilter),
+        *(LinearGate, Mixo, Token, PPO),
+        *(Smoother, MulticameraGT, OracleAll, OracleHull),
+    )
 }
 """Name -> class, in the order of the tables; every expert alone (:class:`Single`) comes before them."""
 

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mixo_env.envs.observation import PAPER
 from mixo_env.geometry import MAD_TO_SIGMA
 from mixo_env.policies.policy import Observation, Policy, Weights
 from mixo_env.policies.storage import LARGEST
@@ -16,6 +17,8 @@ from mixo_env.recordings.collection import Recordings
 EFFICIENCY_95 = 1.345
 """Residual, in standard deviations, beyond which Huber's loss grows linearly: 95 % efficient on Gaussian errors."""
 ITERATIONS = 8
+RATE_BOUND = np.float32(next(quantity.high for quantity in PAPER if quantity.name == "yaw_rates"))
+"""Observed yaw rates end here [rad/s]."""
 SMALLEST_SCALE_RAD = 1e-6
 """Keeps weights finite when an expert is exact on the training scenes."""
 
@@ -28,6 +31,19 @@ def votes(observation: Observation) -> NDArray[np.bool_]:
     """
     available = observation["available"] > 0
     return available | ~available.any(axis=1, keepdims=True)
+
+
+def believable(observation: Observation) -> NDArray[np.bool_]:
+    """Who counts, ``(batch, experts)``: :func:`votes` without rates at the bound of what is observed.
+
+    No car turns by half a turn a second. Such a rate was clipped, and a weight would multiply the wild increment behind
+    it. Where nothing else was said, it counts after all.
+    """
+    voting = votes(observation)
+    inside = voting & (np.abs(observation["yaw_rates"]) < RATE_BOUND)
+    if np.array_equal(inside, voting):
+        return voting
+    return np.where(inside.any(axis=1, keepdims=True), inside, voting)
 
 
 def median_weights(values: NDArray[np.floating[Any]], voting: NDArray[np.bool_]) -> Weights:

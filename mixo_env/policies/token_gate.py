@@ -8,18 +8,18 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
+from mixo_env.policies.calibration import Calibration, Past
 from mixo_env.policies.deepset import Layers, corrections, weigh
 from mixo_env.policies.lessons import lessons
 from mixo_env.policies.policy import Observation, Policy, Weights
-from mixo_env.policies.scales import usual
 from mixo_env.policies.storage import finite, positive
-from mixo_env.policies.tokens import SIGNALS, WHOLE, Memory, Usual, read, tokenise
+from mixo_env.policies.tokens import SIGNALS, WHOLE, Memory, read, tokenise
 from mixo_env.recordings.collection import Recordings
 
 SMALLEST_STD = 1e-3
 """A signal that hardly changes in training is not blown up when it does later."""
 
-_NOTHING = (np.nan, np.nan)
+_STRANGER = (np.inf, np.inf)
 
 
 class Token(Policy):
@@ -55,7 +55,7 @@ class Token(Policy):
     def start(self, voters: Sequence[str]) -> None:
         """Take the voters; after a fit, others than those it was fitted with are strangers."""
         super().start(voters)
-        self._usual = Usual(*np.array([self._known.get(name, _NOTHING) for name in self.experts]).T.copy())
+        self._calibration = Calibration(*np.array([self._known.get(name, _STRANGER) for name in self.experts]).T.copy())
 
     def fit(self, training: Recordings, track: str, *, seed: int = 0) -> None:
         """Train on scenes as they are, mirrored and spoilt; same seed, same machine: same bits."""
@@ -64,11 +64,10 @@ class Token(Policy):
         from mixo_env.policies.deepset import train
 
         experts = training.voters(track)
-        measured = usual(training, experts)
-        self._known = dict(zip(experts, np.stack(measured, axis=1).tolist(), strict=True))
+        self._know(experts, Calibration.fit(Past.read(training, experts)))
         super().fit(training, track)
         drawn, trained = np.random.SeedSequence(seed).generate_state(2)
-        given = lessons(training, track, measured, self.spoilt, int(drawn))
+        given = lessons(training, track, self._calibration, self.spoilt, int(drawn))
         x = _inputs(given.signals, given.whole)
         told = x[given.voting & given.active[..., None]]
         self._mean, self._std = told.mean(axis=0), np.maximum(told.std(axis=0), SMALLEST_STD)
@@ -84,8 +83,8 @@ class Token(Policy):
 
     def act(self, observation: Observation) -> Weights:
         """Rows ``(batch, experts)`` that sum to one; who does not vote has none."""
-        seen = read(observation)
-        tokens = tokenise(seen, self._usual, self._memory)
+        seen = read(observation, self._calibration)
+        tokens = tokenise(seen, self._memory)
         x = (_inputs(tokens.signals, tokens.whole) - self._mean) / self._std
         return weigh(corrections(self._layers, x, seen.voting), tokens.consensus, seen.voting)
 
@@ -94,31 +93,32 @@ class Token(Policy):
         return {name: getattr(self, name) for name in ("hidden", "learning_rate", "epochs", "batch", "spoilt")}
 
     def tensors(self) -> dict[str, NDArray[Any]]:
-        """Scales of the experts (0: unknown), standardisation and network."""
-        known = {"scale_rad": self._usual.scale_rad, "share": self._usual.share}
+        """Calibration, standardisation and network."""
         weights = {f"weight.{i}": weight for i, (weight, _) in enumerate(self._layers)}
         biases = {f"bias.{i}": bias for i, (_, bias) in enumerate(self._layers)}
-        scales = {name: np.nan_to_num(values, nan=0.0) for name, values in known.items()}
-        return {"mean": self._mean, "std": self._std, **scales, **weights, **biases}
+        return {**self._calibration.tensors(), "mean": self._mean, "std": self._std, **weights, **biases}
 
     def shapes(self, inputs: int) -> dict[str, tuple[int, ...]]:
-        """Scales, standardisation and the four dense layers."""
-        width, h, n = SIGNALS + WHOLE, self.hidden, len(self.experts)
+        """Calibration, standardisation and the four dense layers."""
+        width, h = SIGNALS + WHOLE, self.hidden
         sizes = ((h, width), (h, h), (h, 2 * h), (1, h))
         layers = {f"weight.{i}": size for i, size in enumerate(sizes)}
         biases = {f"bias.{i}": size[:1] for i, size in enumerate(sizes)}
-        return {"mean": (width,), "std": (width,), "scale_rad": (n,), "share": (n,), **layers, **biases}
+        return {**Calibration.shapes(len(self.experts)), "mean": (width,), "std": (width,), **layers, **biases}
 
     def restore(self, tensors: Mapping[str, NDArray[Any]]) -> None:
-        """Take back scales, standardisation and network."""
-        scales = np.stack([finite(name, tensors[name]).astype(np.float64) for name in ("scale_rad", "share")], axis=1)
-        if (scales < 0.0).any():
-            raise ValueError("expected scales above 0, or 0 where unknown")
-        self._known = dict(zip(self.experts, np.where(scales > 0.0, scales, np.nan).tolist(), strict=True))
+        """Take back calibration, standardisation and network."""
+        calibration = Calibration.restore(tensors)
+        self._know(self.experts, calibration)
         self.start(self.experts)
-        values = {name: finite(name, value).astype(np.float32) for name, value in tensors.items()}
+        learned = {name: value for name, value in tensors.items() if name not in calibration.tensors()}
+        values = {name: finite(name, value).astype(np.float32) for name, value in learned.items()}
         self._mean, self._std = values["mean"], positive("std", values["std"])
         self._layers: Layers = tuple((values[f"weight.{i}"], values[f"bias.{i}"]) for i in range(4))
+
+    def _know(self, experts: Sequence[str], calibration: Calibration) -> None:
+        numbers = np.stack(list(calibration.tensors().values()), axis=1)
+        self._known = dict(zip(experts, numbers.tolist(), strict=True))
 
 
 def _inputs(signals: NDArray[np.float32], whole: NDArray[np.float32]) -> NDArray[np.float32]:

@@ -13,8 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixo_env.compiled import compiled
+from mixo_env.policies.calibration import Calibration
+from mixo_env.policies.consensus import likeliest
 from mixo_env.policies.policy import Observation
-from mixo_env.policies.robust import votes
+from mixo_env.policies.robust import believable
 
 FloatArray = NDArray[np.float64]
 
@@ -28,9 +30,8 @@ WHOLE = 5
 """Numbers that tell of the whole step."""
 
 FREEDOM = 2.0
-"""Of the Student-t consensus that tokens are measured from: an outlier's pull fades, slowly."""
+"""Of the Student-t consensus that tokens are measured from: an outlier's pull fades soon."""
 
-_ITERATIONS = 8
 _FLOOR = 0.1
 """[UNIT_RAD] Disagreement below it is everybody's noise."""
 
@@ -38,18 +39,6 @@ _SHORT, _LONG = 0.1, 0.02
 """Share of the newest step in the running means: about one second, and five, at 12 Hz."""
 
 _LEAST_DT_S = 1e-3
-
-
-class Usual(NamedTuple):
-    """What is known of the experts beforehand.
-
-    Attributes:
-        scale_rad: ``(experts,)`` usual error in one step; NaN where unknown: then what is seen on the way counts.
-        share: ``(experts,)`` usual error over the standard deviation that the expert states; NaN where unknown.
-    """
-
-    scale_rad: FloatArray
-    share: FloatArray
 
 
 class Memory(NamedTuple):
@@ -76,13 +65,15 @@ class Seen(NamedTuple):
 
     Attributes:
         increment: ``(batch, experts)`` in UNIT_RAD.
-        std: ``(batch, experts)`` stated standard deviation in UNIT_RAD; 0: none.
+        stated: ``(batch, experts)`` standard deviation that the expert states, in UNIT_RAD; 0: none.
+        std: ``(batch, experts)`` the same calibrated; infinite for a stranger: what is seen on the way then counts.
         voting: ``(batch, experts)``.
         counts: ``(4, batch, counting)`` matches, inliers, residual [px], flow [px]; the first experts count.
         step: ``(batch, 2)`` speed [m/s] and duration [s].
     """
 
     increment: FloatArray
+    stated: FloatArray
     std: FloatArray
     voting: NDArray[np.bool_]
     counts: NDArray[np.float32]
@@ -103,33 +94,33 @@ class Tokens(NamedTuple):
     consensus: FloatArray
 
 
-def read(observation: Observation) -> Seen:
+def read(observation: Observation, calibration: Calibration) -> Seen:
     """Pick what becomes tokens."""
     dt = observation["dt"].astype(np.float64)
     counts = [observation[name] for name in ("matches", "inliers", "residual_px", "flow_px")]
     return Seen(
         observation["yaw_rates"] * dt / UNIT_RAD,
         observation["yaw_rate_std"] * dt / UNIT_RAD,
-        votes(observation),
+        calibration.std(observation) / UNIT_RAD,
+        believable(observation),
         np.stack(counts),
         np.concatenate([observation["speed"], dt], axis=1),
     )
 
 
-def tokenise(seen: Seen, usual: Usual, memory: Memory) -> Tokens:
+def tokenise(seen: Seen, memory: Memory) -> Tokens:
     """Tokens of one step; ``memory`` goes on by it."""
     batch, experts = seen.increment.shape
     signals = np.zeros((batch, experts, SIGNALS), np.float32)
     whole = np.zeros((batch, WHOLE), np.float32)
-    consensus = np.zeros((batch, experts))
-    _tokenise(seen, usual, memory, signals, whole, consensus)
+    consensus = np.empty((batch, experts))
+    _tokenise(seen, memory, signals, whole, consensus)
     return Tokens(signals, whole, consensus)
 
 
 @compiled
 def _tokenise(
     seen: Seen,
-    usual: Usual,
     memory: Memory,
     signals: NDArray[np.float32],
     whole: NDArray[np.float32],
@@ -140,12 +131,8 @@ def _tokenise(
     for b in range(batch):
         increment, voting, weight = seen.increment[b], seen.voting[b], consensus[b]
         for e in range(experts):
-            scale[e] = memory.size[b, e]
-            if seen.std[b, e] > 0.0 and not math.isnan(usual.share[e]):
-                scale[e] = seen.std[b, e] * usual.share[e]
-            elif not math.isnan(usual.scale_rad[e]):
-                scale[e] = usual.scale_rad[e] / UNIT_RAD
-        centre = agree(increment, voting, scale, weight)
+            scale[e] = seen.std[b, e] if seen.std[b, e] < math.inf else memory.size[b, e]
+        centre = likeliest(increment, scale, voting, FREEDOM, weight)
         spread, count, information = 0.0, 0, 0.0
         for e in range(experts):
             off[e] = increment[e] - centre if voting[e] else 0.0
@@ -161,8 +148,8 @@ def _tokenise(
             token[3] = math.asinh(memory.last[b, e])
             token[4] = math.log(memory.size[b, e] + _FLOOR)
             token[5] = math.asinh(memory.lean[b, e])
-            if seen.std[b, e] > 0.0:
-                token[6] = math.log(max(seen.std[b, e], _FLOOR))
+            if seen.stated[b, e] > 0.0:
+                token[6] = math.log(max(seen.stated[b, e], _FLOOR))
                 token[7] = 1.0
             if e < seen.counts.shape[2]:
                 matches = seen.counts[0, b, e]
@@ -182,31 +169,3 @@ def _tokenise(
         whole[b, 2] = math.log(spread / count + _FLOOR)
         whole[b, 3] = 0.25 * count
         whole[b, 4] = -0.5 * math.log(information)
-
-
-@compiled
-def agree(increment: FloatArray, voting: NDArray[np.bool_], scale: FloatArray, weight: FloatArray) -> float:
-    """Student-t consensus of one step, by iteratively reweighted means from the median.
-
-    Args:
-        increment: ``(experts,)``.
-        voting: ``(experts,)``; at least one is true.
-        scale: ``(experts,)`` expected errors.
-        weight: ``(experts,)`` receives weights that sum to one.
-
-    Returns:
-        The consensus; a weighted mean, so a step of many modes is decided by where the median lies.
-    """
-    centre = float(np.median(increment[voting]))
-    for _ in range(_ITERATIONS):
-        total = moment = 0.0
-        for e in range(len(increment)):
-            weight[e] = 0.0
-            if voting[e]:
-                off = (increment[e] - centre) / scale[e]
-                weight[e] = (FREEDOM + 1.0) / (FREEDOM + off * off) / (scale[e] * scale[e])
-                total += weight[e]
-                moment += weight[e] * increment[e]
-        centre = moment / total
-    weight /= total
-    return centre

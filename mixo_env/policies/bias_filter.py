@@ -1,0 +1,86 @@
+"""BIAS FILTER: every expert has a bias that a Kalman filter learns from its disagreement with the others."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixo_env.fusion import FloatArray
+from mixo_env.policies.bias_steps import step_batch
+from mixo_env.policies.calibration import Calibration, Past
+from mixo_env.policies.consensus import agreement
+from mixo_env.policies.drift import Drift
+from mixo_env.policies.policy import Observation, Policy, Weights
+from mixo_env.policies.robust import believable, median_weights
+from mixo_env.policies.softmin import Recent
+from mixo_env.recordings.collection import Recordings
+
+BEST_SCALE = 0.7071
+"""Agreement with the others, whose consensus an expert is part of, proves no more than half the calibrated variance."""
+
+
+class BiasFilter(Policy):
+    """Vision-aided gyro-bias filter, for every expert at once.
+
+    Increment of expert i: y_i = psi + (c_i + b_i) dt + e_i, with a constant c_i, a slow bias b_i (first-order
+    Gauss-Markov, Gelb 1974, section 3.8) and a white e_i with Student's t tails, larger in turns. A Kalman filter keeps
+    the biases of all experts; the yaw increment itself is free at every step, so it is what best explains them. In
+    CONSUMER the gyro drifts and the cameras do not, which makes it the classical filter of yaw rate and gyro bias with
+    robust camera updates; among visual odometries it splits who is right in the short and in the long run. All
+    constants are measured on the training scenes; the variance of e_i follows recent agreement with the consensus
+    (adaptive filtering, Mehra 1970), down to half of what was measured.
+    """
+
+    name = "BIAS FILTER"
+    learns = True
+    _recent = Recent(0, 0)
+
+    def fit(self, training: Recordings, track: str, *, seed: int = 0) -> None:
+        """Measure errors and drift."""
+        super().fit(training, track)
+        self._adopt(*Drift.fit(Past.read(training, self.experts)))
+
+    def reset(self, batch: int) -> None:
+        """Every bias is 0, as uncertain as it was on the training scenes; nobody has disagreed yet."""
+        self._bias = np.zeros((batch, len(self.experts)))
+        self._covariance = np.tile(np.diag(self._drift.slow_radps**2), (batch, 1, 1))
+        self._recent = Recent(batch, len(self.experts))
+
+    def act(self, observation: Observation) -> Weights:
+        """Rows ``(batch, experts)`` that sum to one."""
+        told, dt = self._hear(observation)
+        weights = np.empty(told[0].shape)
+        if not step_batch((self._bias, self._covariance), told, self._constants, dt, weights):
+            undecided = ~weights.any(axis=1)
+            counts = believable(observation)[undecided]
+            weights[undecided] = median_weights(told[0][undecided], counts)
+        return weights
+
+    def tensors(self) -> dict[str, NDArray[Any]]:
+        """Calibration and drift."""
+        return {**self._calibration.tensors(), **self._drift.tensors()}
+
+    def shapes(self, inputs: int) -> dict[str, tuple[int, ...]]:
+        """A number an expert each."""
+        return {**Calibration.shapes(len(self.experts)), **Drift.shapes(len(self.experts))}
+
+    def restore(self, tensors: Mapping[str, NDArray[Any]]) -> None:
+        """Take them back."""
+        self._adopt(Drift.restore(tensors), Calibration.restore(tensors))
+
+    def _adopt(self, drift: Drift, calibration: Calibration) -> None:
+        self._drift, self._calibration = drift, calibration
+        self._constants = np.stack(list(drift.tensors().values()))
+        self.reset(0)
+
+    def _hear(self, observation: Observation) -> tuple[tuple[FloatArray, FloatArray, NDArray[np.bool_]], FloatArray]:
+        """Increments and their present standard deviations [rad] ``(batch, experts)``, who votes; dt ``(batch,)``."""
+        apart, std, known = agreement(observation, self._calibration)
+        if not self._recent.fits(apart):
+            self.reset(len(apart))
+        scale = np.maximum(self._recent.update(apart, known), BEST_SCALE)
+        dt = observation["dt"][:, 0].astype(np.float64)
+        return (observation["yaw_rates"] * dt[:, None], std * scale, known), dt

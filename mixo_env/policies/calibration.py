@@ -1,0 +1,115 @@
+"""How large an expert's errors are: its own standard deviation times a factor, a constant where it states none."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixo_env.geometry import MAD_TO_SIGMA
+from mixo_env.policies.policy import Observation
+from mixo_env.policies.robust import SMALLEST_SCALE_RAD
+from mixo_env.policies.storage import LARGEST
+from mixo_env.recordings.collection import Recordings
+
+FloatArray = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Past:
+    """What experts did on training scenes; NaN where an expert delivered nothing.
+
+    Attributes:
+        error_rad: ``(rows, experts)`` own increment minus truth.
+        stated_rad: ``(rows, experts)`` standard deviation of the increment as stated by the expert.
+        truth_rad: ``(rows,)`` true increment.
+        dt_s: ``(rows,)``.
+        offsets: ``(scenes + 1,)`` rows of the scenes.
+    """
+
+    error_rad: FloatArray
+    stated_rad: FloatArray
+    truth_rad: FloatArray
+    dt_s: FloatArray
+    offsets: NDArray[np.int64]
+
+    @classmethod
+    def read(cls, training: Recordings, experts: tuple[str, ...]) -> Past:
+        """Gather it from training scenes."""
+        truth = training["truth.yaw_increment_rad"].astype(np.float64)
+
+        def column(name: str) -> FloatArray:
+            return training[name].astype(np.float64) if name in training else np.full(len(truth), np.nan)
+
+        error = np.stack([column(f"{e}.yaw_increment_rad") - truth for e in experts], axis=-1)
+        stated = np.stack([column(f"{e}.yaw_std_rad") for e in experts], axis=-1)
+        stated[~(stated > 0.0)] = np.nan
+        return cls(error, stated, truth, training["dt_s"].astype(np.float64), training.offsets)
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Standard deviations of the experts' errors, ``(experts,)`` each; infinite for one that was never seen.
+
+    Attributes:
+        std_rad: of an increment that comes without a statement of its own.
+        factor: of the standard deviation that an expert states.
+    """
+
+    std_rad: FloatArray
+    factor: FloatArray
+
+    @classmethod
+    def fit(cls, past: Past) -> Calibration:
+        """1.4826 x the median absolute error, and the same of errors over stated standard deviations."""
+        with np.errstate(invalid="ignore"):
+            ratio = past.error_rad / past.stated_rad
+        return cls(
+            np.maximum(robust_std(past.error_rad), SMALLEST_SCALE_RAD),
+            np.maximum(robust_std(ratio), SMALLEST_SCALE_RAD),
+        )
+
+    def std(self, observation: Observation) -> FloatArray:
+        """Standard deviations ``(batch, experts)`` of the coming increments [rad], never below 1e-6."""
+        stated = observation["yaw_rate_std"]
+        if not stated.any():
+            return np.broadcast_to(self.std_rad, stated.shape).copy()
+        known = (stated > 0.0) & np.isfinite(self.factor)
+        scaled = np.where(known, self.factor, 1.0) * stated * observation["dt"].astype(np.float64)
+        return np.where(known, np.maximum(scaled, SMALLEST_SCALE_RAD), self.std_rad)
+
+    def tensors(self) -> dict[str, NDArray[Any]]:
+        """Both arrays."""
+        return {"std_rad": self.std_rad, "factor": self.factor}
+
+    @staticmethod
+    def shapes(experts: int) -> dict[str, tuple[int, ...]]:
+        """Of :meth:`tensors`."""
+        return {"std_rad": (experts,), "factor": (experts,)}
+
+    @classmethod
+    def restore(cls, tensors: Mapping[str, NDArray[Any]]) -> Calibration:
+        """From :meth:`tensors`.
+
+        Raises:
+            ValueError: for values that :meth:`fit` cannot give.
+        """
+        for name in ("std_rad", "factor"):
+            values = tensors[name]
+            if np.any(values < SMALLEST_SCALE_RAD) or np.any(values[np.isfinite(values)] > LARGEST):
+                raise ValueError(f"expected {name} from {SMALLEST_SCALE_RAD:g} to {LARGEST:g}, or infinite")
+        return cls(tensors["std_rad"].astype(np.float64), tensors["factor"].astype(np.float64))
+
+
+def robust_std(values: FloatArray) -> FloatArray:
+    """1.4826 x the median of ``|values|`` ``(rows, n)`` over the finite rows; infinite without any."""
+    size = np.abs(values)
+    told = np.isfinite(size)
+    some = told.any(axis=0)
+    result = np.full(size.shape[1], np.inf)
+    if some.any():
+        result[some] = MAD_TO_SIGMA * np.nanmedian(np.where(told, size, np.nan)[:, some], axis=0)
+    return result

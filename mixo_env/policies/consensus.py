@@ -1,0 +1,176 @@
+"""STUDENT-T: the consensus of heavy-tailed experts, a redescending M-estimate of the yaw increment."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixo_env.compiled import compiled
+from mixo_env.policies.calibration import Calibration, Past
+from mixo_env.policies.inner import by_log, inner_folds
+from mixo_env.policies.policy import Observation, Policy, Weights
+from mixo_env.policies.robust import believable, median_weights
+from mixo_env.recordings.collection import Recordings
+
+FloatArray = NDArray[np.float64]
+
+DEGREES_OF_FREEDOM = (1.0, 2.0, 3.0, 5.0, 8.0, 16.0)
+"""Choices of nu: from Cauchy's tails to nearly Gaussian ones."""
+SAFE = 5.0
+"""nu where there are no logs to choose it on."""
+ITERATIONS = 20
+SETTLED = 1e-4
+"""The climb ends with a move of less than so many of the smallest standard deviation."""
+
+
+@compiled
+def likeliest(values: FloatArray, std: FloatArray, counts: NDArray[np.bool_], nu: float, weights: FloatArray) -> float:
+    """Most likely common value of ``values`` with errors ``std`` x Student's t of ``nu`` degrees of freedom.
+
+    The likelihood has several maxima where experts disagree. The search starts at the vote of highest likelihood and
+    climbs by reweighted least squares, which never descends: weights (nu + 1) / (nu + (r / sigma)^2) / sigma^2.
+
+    Args:
+        values: ``(n,)``.
+        std: ``(n,)``; an infinite one has no vote.
+        counts: ``(n,)`` who votes.
+        nu: degrees of freedom.
+        weights: ``(n,)`` written; they sum to one, or are all zero where nobody with a finite deviation votes.
+
+    Returns:
+        The value; NaN where nobody votes.
+    """
+    n = len(values)
+    centre, least, sharpest = math.nan, math.inf, math.inf
+    for i in range(n):
+        weights[i] = 0.0
+        if counts[i] and std[i] < math.inf:
+            cost = 0.0
+            sharpest = min(sharpest, std[i])
+            for j in range(n):
+                if counts[j] and std[j] < math.inf:
+                    r = (values[j] - values[i]) / std[j]
+                    cost += math.log1p(r * r / nu)
+            if cost < least:
+                centre, least = values[i], cost
+    if least == math.inf:
+        return math.nan
+    for _ in range(ITERATIONS):
+        total, moved = 0.0, 0.0
+        for j in range(n):
+            if counts[j] and std[j] < math.inf:
+                r = (values[j] - centre) / std[j]
+                weights[j] = (nu + 1.0) / (nu + r * r) / (std[j] * std[j])
+                total += weights[j]
+                moved += weights[j] * (values[j] - centre)
+        move = moved / total
+        centre += move
+        for j in range(n):
+            weights[j] /= total
+        if abs(move) <= SETTLED * sharpest:
+            break
+    return centre
+
+
+@compiled
+def find_consensus(
+    values: FloatArray, std: FloatArray, counts: NDArray[np.bool_], nu: float, weights: FloatArray
+) -> bool:
+    """:func:`likeliest` of every row ``(batch, n)``; whether all rows have been decided."""
+    everywhere = True
+    for b in range(len(values)):
+        everywhere &= not math.isnan(likeliest(values[b], std[b], counts[b], nu, weights[b]))
+    return everywhere
+
+
+def agreement(observation: Observation, calibration: Calibration) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
+    """The consensus as a judge of experts: deviations from it in standard deviations, these, and who can be trusted.
+
+    Returns:
+        ``(batch, experts)`` deviations from the STUDENT-T consensus with nu = 5 over calibrated standard deviations;
+        the standard deviations [rad]; who votes with a known one (where nobody does: all that vote, with 1 rad).
+    """
+    increments = observation["yaw_rates"].astype(np.float64) * observation["dt"]
+    counts, std = believable(observation), calibration.std(observation)
+    weights = consensus_weights(increments, std, counts, SAFE)
+    known = counts & np.isfinite(std)
+    somebody = known.any(axis=1, keepdims=True)
+    if not somebody.all():
+        known, std = np.where(somebody, known, counts), np.where(somebody, std, 1.0)
+    apart = increments - np.sum(weights * increments, axis=1, keepdims=True)
+    return apart / std, std, known
+
+
+def consensus_weights(values: FloatArray, std: FloatArray, counts: NDArray[np.bool_], nu: float) -> Weights:
+    """Weights ``(batch, n)`` of :func:`find_consensus`; those of the median where only unknown experts vote."""
+    weights = np.empty(values.shape)
+    if not find_consensus(values, std, counts, nu, weights):
+        undecided = ~weights.any(axis=1)
+        weights[undecided] = median_weights(values[undecided], counts[undecided])
+    return weights
+
+
+class StudentT(Policy):
+    """Maximum likelihood of the yaw increment when the experts' errors are Student's t (Lange, Little, Taylor 1989).
+
+    psi = argmax sum_i log t_nu((y_i - psi) / sigma_i). The influence of an expert falls again once it is further than
+    sqrt(nu) sigma from the others, so that one broken by 40 degrees is ignored where Huber's still pulls. Standard
+    deviations are calibrated on the training scenes; nu is the one of least mean log RMSE over inner folds by log.
+
+    Attributes:
+        nu: degrees of freedom after :meth:`fit`.
+    """
+
+    name = "STUDENT-T"
+    learns = True
+    nu: float
+
+    def fit(self, training: Recordings, track: str, *, seed: int = 0) -> None:
+        """Calibrate, and choose nu."""
+        super().fit(training, track)
+        self._calibration = Calibration.fit(Past.read(training, self.experts))
+        self.nu = self._choose(training, track)
+
+    def act(self, observation: Observation) -> Weights:
+        """Rows ``(batch, experts)`` that sum to one."""
+        return _act(observation, self._calibration, self.nu)
+
+    def tensors(self) -> dict[str, NDArray[Any]]:
+        """Calibration and nu."""
+        return {**self._calibration.tensors(), "nu": np.array([self.nu])}
+
+    def shapes(self, inputs: int) -> dict[str, tuple[int, ...]]:
+        """Of the calibration, and one number."""
+        return {**Calibration.shapes(len(self.experts)), "nu": (1,)}
+
+    def restore(self, tensors: Mapping[str, NDArray[Any]]) -> None:
+        """Take them back."""
+        self._calibration, self.nu = Calibration.restore(tensors), float(tensors["nu"][0])
+        if self.nu not in DEGREES_OF_FREEDOM:
+            raise ValueError(f"expected nu among {DEGREES_OF_FREEDOM}, got {self.nu:g}")
+
+    def _choose(self, training: Recordings, track: str) -> float:
+        seen = by_log(training, track)
+        scores = [np.zeros(0)] * len(DEGREES_OF_FREEDOM)
+        for held_out, rest in inner_folds(training):
+            calibration = Calibration.fit(Past.read(rest, self.experts))
+            for i, nu in enumerate(DEGREES_OF_FREEDOM):
+                scores[i] = np.append(scores[i], [_log_rmse(seen[log], calibration, nu) for log in held_out])
+        if not len(scores[0]):
+            return SAFE
+        return DEGREES_OF_FREEDOM[int(np.argmin([score.mean() for score in scores]))]
+
+
+def _act(observation: Observation, calibration: Calibration, nu: float) -> Weights:
+    increments = observation["yaw_rates"].astype(np.float64) * observation["dt"]
+    return consensus_weights(increments, calibration.std(observation), believable(observation), nu)
+
+
+def _log_rmse(seen: Observation, calibration: Calibration, nu: float) -> float:
+    fused = np.sum(_act(seen, calibration, nu) * seen["yaw_rates"], axis=1)
+    error = (fused - seen["truth_yaw_rate"][:, 0]) * seen["dt"][:, 0]
+    return float(np.log(np.sqrt(np.mean(error**2)) + 1e-12))

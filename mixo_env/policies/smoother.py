@@ -1,0 +1,155 @@
+"""SMOOTHER (NON-CAUSAL): the filter of biases with two seconds of the future, a bound for anything that filters."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixo_env.compiled import compiled
+from mixo_env.fusion import FloatArray
+from mixo_env.policies.bias_filter import BiasFilter
+from mixo_env.policies.bias_steps import invert, point_at, step_row
+from mixo_env.policies.policy import Observation, Weights
+from mixo_env.policies.robust import believable, median_weights
+
+LAG = 24
+"""Steps of the future, two seconds at 12 Hz."""
+Ring = tuple[FloatArray, FloatArray, FloatArray, FloatArray, NDArray[np.bool_]]
+"""Of the last steps shown, ``(slots, batch, ...)``: biases, variances of white errors, gains back to the step before
+``(..., n, n)``, diagonal of F since then; and whether the scene still went on."""
+SMALLEST_BIAS_RADPS = 1e-7
+"""Keeps covariances invertible for an expert that never drifts."""
+
+
+@compiled
+def backward_gain(covariance: FloatArray, drift: FloatArray, dt: float) -> FloatArray:
+    """G = P F' (F P F' + Q)^-1 ``(n, n)`` of Rauch, Tung and Striebel for a step of ``dt`` that follows."""
+    n = len(covariance)
+    fade = np.exp(-dt / drift[2])
+    following = np.empty((n, n))
+    for i in range(n):
+        for j in range(n):
+            following[i, j] = fade[i] * covariance[i, j] * fade[j]
+        following[i, i] += drift[1, i] ** 2 * (1.0 - fade[i] * fade[i])
+    invert(following)
+    gain = np.zeros((n, n))
+    for i in range(n):
+        for j in range(n):
+            for k in range(n):
+                gain[i, j] += covariance[i, k] * fade[k] * following[k, j]
+    return gain
+
+
+@compiled
+def remember(
+    state: tuple[FloatArray, FloatArray],
+    told: tuple[Any, ...],
+    drift: FloatArray,
+    dt: FloatArray,
+    ring: Ring,
+    slot: int,
+) -> None:
+    """Filter one step of every scene that is still ``active`` in the slot, and write what leads back from it.
+
+    Args:
+        state: biases ``(batch, n)`` and covariances ``(batch, n, n)``, changed in place.
+        told: ``(batch, n)`` increments, standard deviations, who votes.
+        drift: as in :func:`~mixo_env.policies.bias_steps.step_row`.
+        dt: ``(batch,)``.
+        ring: see :data:`Ring`.
+        slot: of this step.
+    """
+    biases, noises, gains, fades, active = ring
+    bias, covariance = state
+    values, std, counts = told
+    for b in range(len(values)):
+        if active[slot, b]:
+            gains[slot, b] = backward_gain(covariance[b], drift, dt[b])
+            fades[slot, b] = np.exp(-dt[b] / drift[2])
+            step_row((bias[b], covariance[b]), (values[b], std[b], counts[b]), drift, dt[b], noises[slot, b])
+            biases[slot, b] = bias[b]
+
+
+@compiled
+def look_back(ring: Ring, first: int, b: int) -> FloatArray:
+    """Biases ``(n,)`` of scene ``b`` at slot ``first`` given all later slots: b_k|K = b_k + G (b_k+1|K - F b_k)."""
+    biases, _, gains, fades, active = ring
+    slots, _, n = biases.shape
+    last = 0
+    while last + 1 < slots and active[(first + last + 1) % slots, b]:
+        last += 1
+    later = biases[(first + last) % slots, b].copy()
+    for k in range(last, 0, -1):
+        here, following = (first + k - 1) % slots, (first + k) % slots
+        earlier = biases[here, b].copy()
+        for i in range(n):
+            for j in range(n):
+                earlier[i] += gains[following, b, i, j] * (later[j] - fades[following, b, j] * biases[here, b, j])
+        later = earlier
+    return later
+
+
+@compiled
+def decide(
+    ring: Ring, first: int, values: FloatArray, constant: FloatArray, dt: FloatArray, weights: FloatArray
+) -> None:
+    """Weights ``(batch, n)`` of the step in slot ``first``; zero where nobody had a vote. ``constant`` [rad/s]."""
+    for b in range(len(values)):
+        bias = look_back(ring, first, b)
+        trust = 1.0 / ring[1][first, b]
+        weights[b] = 0.0
+        if trust.sum() > 0.0:
+            target = (trust * (values[b] - dt[b] * (constant + bias))).sum() / trust.sum()
+            point_at(target, values[b], trust > 0.0, weights[b])
+
+
+class Smoother(BiasFilter):
+    """Fixed-lag smoother (Rauch, Tung and Striebel 1965) of BIAS FILTER's model: no deployed system can have it.
+
+    It decides about a step after it has seen the following two seconds of all experts; ground truth it never sees. With
+    the biases b smoothed, psi = sum_i R_i^-1 (y_i - (c_i + b_i) dt) / sum_i R_i^-1. What it gains over BIAS FILTER is
+    what waiting is worth.
+    """
+
+    name = "SMOOTHER (NON-CAUSAL)"
+    privileged = True
+    lag: ClassVar[int] = LAG
+
+    def reset(self, batch: int) -> None:
+        """Forget the past and the future."""
+        super().reset(batch)
+        n, slots = len(self.experts), LAG + 1
+        self._drifting = self._constants.copy()
+        self._drifting[1] = np.maximum(self._drifting[1], SMALLEST_BIAS_RADPS)
+        self._covariance = np.tile(np.diag(self._drifting[1] ** 2), (batch, 1, 1))
+        noises, active = np.full((slots, batch, n), np.inf), np.zeros((slots, batch), np.bool_)
+        self._ring: Ring = np.zeros((slots, batch, n)), noises, np.zeros((slots, batch, n, n)), noises.copy(), active
+        self._shown = self._decided = 0
+
+    def preview(self, observation: Observation, active: NDArray[np.bool_]) -> None:
+        """Filter a step of the future."""
+        told, dt = self._hear(observation)
+        slot = self._shown % (LAG + 1)
+        self._ring[4][slot] = active
+        remember((self._bias, self._covariance), told, self._drifting, dt, self._ring, slot)
+        self._shown += 1
+
+    def act(self, observation: Observation) -> Weights:
+        """Rows ``(batch, experts)`` that sum to one.
+
+        Raises:
+            KeyError: for a step without :meth:`preview`.
+        """
+        if self._decided >= self._shown:
+            raise KeyError(f"the future: {self.name} needs `preview`, as mixo_env.policies.playing.play gives it")
+        dt = observation["dt"][:, 0].astype(np.float64)
+        values = observation["yaw_rates"] * dt[:, None]
+        weights = np.empty(values.shape)
+        decide(self._ring, self._decided % (LAG + 1), values, self._constants[0], dt, weights)
+        undecided = ~weights.any(axis=1)
+        if undecided.any():
+            weights[undecided] = median_weights(values[undecided], believable(observation)[undecided])
+        self._decided += 1
+        return weights
