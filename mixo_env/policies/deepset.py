@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from mixo_env.policies.lessons import Lessons, Piece
+from mixo_env.policies.lessons import Lessons
 
 if TYPE_CHECKING:
     import torch
@@ -55,7 +55,9 @@ def weigh(correction: NDArray[np.floating], consensus: NDArray[np.floating], vot
     return weights / weights.sum(axis=1, keepdims=True)
 
 
-def train(given: Lessons, inputs: NDArray[np.float32], hidden: int, learning_rate: float, epochs: int, batch: int) -> Layers:
+def train(
+    given: Lessons, inputs: NDArray[np.float32], hidden: int, learning_rate: float, epochs: int, batch: int
+) -> Layers:
     """Adam on the errors of the integrated heading; torch's generator decides the order and the first weights.
 
     The learning rate falls to zero in a straight line.

@@ -71,9 +71,7 @@ def lessons(training: Recordings, track: str, calibration: Calibration, spoilt: 
     )
 
 
-def watch(
-    training: Recordings, track: str, calibration: Calibration
-) -> tuple[Seen, FloatArray, NDArray[np.bool_]]:
+def watch(training: Recordings, track: str, calibration: Calibration) -> tuple[Seen, FloatArray, NDArray[np.bool_]]:
     """All scenes side by side: what is seen, with ``(steps, scenes)`` in front, true increments, and who still drives.
 
     Counts keep their four kinds in front. What is seen does not depend on the weights, but for the previous yaw rate,
@@ -120,7 +118,7 @@ def spoil(seen: Seen, active: NDArray[np.bool_], rng: np.random.Generator, *, st
 
 
 def broken(increment: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """Increments ``(n,)`` of an expert that errs at random, by a constant, now and then, that stands still, or scales."""
+    """Increments ``(n,)`` of an expert that errs at random, by a constant or now and then, stands still, or scales."""
     size = np.exp(rng.uniform(np.log(SMALLEST), np.log(LARGEST)))
     noise = rng.normal(0.0, size, len(increment))
     return (
@@ -136,10 +134,7 @@ def told_in_tokens(seen: Seen) -> tuple[NDArray[np.float32], NDArray[np.float32]
     """Signals, whole and consensus of all steps, ``(scenes, steps, ...)``."""
     steps, scenes, experts = seen.increment.shape
     memory = Memory.blank(scenes, experts)
-    told = [
-        tokenise(Seen(*(x[t] for x in seen[:4]), seen.counts[:, t], seen.step[t]), memory)
-        for t in range(steps)
-    ]
+    told = [tokenise(Seen(*(x[t] for x in seen[:4]), seen.counts[:, t], seen.step[t]), memory) for t in range(steps)]
     signals, whole, consensus = (np.stack([step[j] for step in told], axis=1).astype(np.float32) for j in range(3))
     return signals, whole, consensus
 

@@ -104,7 +104,7 @@ def read(observation: Observation, calibration: Calibration) -> Seen:
         calibration.std(observation) / UNIT_RAD,
         believable(observation),
         np.stack(counts),
-        np.concatenate([observation["speed"], dt], axis=1),
+        np.concatenate([observation["speed"].astype(np.float64), dt], axis=1),
     )
 
 
