@@ -126,4 +126,4 @@ def test_the_whole_page_is_made_from_nothing(tmp_path: Path, monkeypatch: pytest
     monkeypatch.delenv("MIXO_REAL_DATA", raising=False)
     assert OdometryPage(out=tmp_path).run() == 0
     assert (tmp_path / "odometry.md").read_text(encoding="utf-8") == page()
-    assert len(list((tmp_path / "figures").iterdir())) == 3
+    assert len(list((tmp_path / "figures").iterdir())) == 4

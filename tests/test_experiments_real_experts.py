@@ -56,8 +56,8 @@ def damaged(recordings: Recordings, expert: str, how: str, rows: slice) -> Recor
 def rms_deg(name: str, training: Recordings, test: Recordings) -> float:
     policy = create(name, training)
     prepare(policy, training, "VISION")
-    motion = rollout(policy, test, "VISION", privileged=policy.privileged)
-    error = np.degrees(motion.yaw_increment_rad - test["truth.yaw_increment_rad"])
+    travel = rollout(policy, test, "VISION", privileged=policy.privileged)
+    error = np.degrees(travel.yaw_increment_rad - test["truth.yaw_increment_rad"])
     assert np.isfinite(error[1:]).all()
     return float(np.sqrt(np.mean(error[1:] ** 2)))
 

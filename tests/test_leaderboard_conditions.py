@@ -15,7 +15,7 @@ from mixo_env.leaderboard.crossvalidation import CrossValidation
 from mixo_env.leaderboard.evaluation import Truth, mean_errors
 from mixo_env.leaderboard.firing_order import best_shares, firing_order, weights_of_one
 from mixo_env.recordings.collection import Recordings
-from mixo_env.recordings.schema import TRACKS
+from mixo_env.recordings.schema import HEADLINE_TRACKS
 from mixo_env.recordings.truths import truths_of, with_truth
 from tests.synthetic import synthetic_recordings
 
@@ -149,7 +149,7 @@ def test_night_is_a_table_of_its_own_by_policies_of_all_folds(recordings: Record
     assert all(scene.fold >= 0 for scene in protocol.training(-1).scenes)
     assert "night (out of distribution): 2 scenes of 1 log" in report.to_markdown(board, by=("condition",))
     assert "night (out" not in report.to_markdown(board)
-    assert len(exports.to_json(board)["night"]["tracks"]) == len(TRACKS)
+    assert len(exports.to_json(board)["night"]["tracks"]) == len(HEADLINE_TRACKS)
 
 
 def test_groups_are_in_the_json_and_on_request_in_the_tables(board: Leaderboard) -> None:

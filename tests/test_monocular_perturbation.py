@@ -1,4 +1,4 @@
-"""No measured yaw rate enters any column of a camera or of JOINT: a drive recorded again with mad gyros."""
+"""No measured yaw rate enters any column of a camera, of JOINT or of TUTORIAL: a drive again with mad gyros."""
 
 from __future__ import annotations
 
@@ -10,10 +10,12 @@ import pytest
 import simplejpeg
 
 from mixo_env.experts.expert import State
+from mixo_env.experts.families import family_expert
 from mixo_env.experts.inertial import InertialOdometry
 from mixo_env.experts.joint.config import JointConfig
 from mixo_env.experts.monocular.config import MonocularConfig
 from mixo_env.experts.monocular.odometry import MonocularOdometry
+from mixo_env.experts.tutorial import TutorialOdometry
 from mixo_env.nuscenes.can_bus import read_can_bus
 from mixo_env.nuscenes.scene import CanBus, Scene, Signal
 from mixo_env.nuscenes.writer import write_can_bus
@@ -24,8 +26,9 @@ from mixo_env.simulator.drive.scenes import simulate_scene
 from tests.corridor import HEIGHT, WIDTH, picture
 
 CAMERAS = ("CAM_FRONT", "CAM_BACK_RIGHT")
+TUTORIALS = {family_expert("TUTORIAL", camera): (camera, TutorialOdometry) for camera in CAMERAS}
 EXPERTS = Experts(
-    partial(MonocularOdometry, config=MonocularConfig(features=600)), InertialOdometry, joint=JointConfig()
+    partial(MonocularOdometry, config=MonocularConfig(features=600)), InertialOdometry, TUTORIALS, JointConfig()
 )
 
 
@@ -90,6 +93,8 @@ def test_there_is_something_to_compare(recorded: Recorded) -> None:
         own = recorded.columns[f"{camera}.own_window_yaw_increment_rad"]
         assert tracking.sum() > 10
         np.testing.assert_array_equal(np.isfinite(own), tracking)
+    for expert in TUTORIALS:
+        assert np.isfinite(recorded.columns[f"{expert}.yaw_increment_rad"]).sum() > 5
 
 
 def test_wheel_speeds_do_enter(recorded: Recorded) -> None:
@@ -100,4 +105,33 @@ def test_wheel_speeds_do_enter(recorded: Recorded) -> None:
     names = changed(recorded, again(recorded.scene, wheel_speed_radps=faster))
     assert {f"{camera}.own_window_yaw_increment_rad" for camera in CAMERAS} <= names
     assert "distance_m" in names
+    assert not [name for name in names if name.startswith("TUTORIAL")]  # two images alone have no scale
     assert not [name for name in names if name.startswith(("truth", "exact"))]
+
+
+def test_no_pose_enters_what_the_tutorial_says(recorded: Recorded) -> None:
+    """Other written poses change the truth and nothing of an expert that sees images alone."""
+    cameras = {
+        name: replace(track, x_m=track.x_m + 3.0, yaw_rad=-track.yaw_rad)
+        for name, track in recorded.scene.cameras.items()
+    }
+    names = changed(recorded, record_scene(replace(recorded.scene, cameras=cameras), EXPERTS)[0])
+    assert "truth.yaw_increment_rad" in names
+    assert not [name for name in names if name.startswith(tuple(TUTORIALS))]
+
+
+def test_the_tutorial_does_not_see_ahead(recorded: Recorded) -> None:
+    """A drive that ends earlier says the same until then."""
+    rounds = 8
+    end_us = int(recorded.columns["timestamp_us"][rounds - 1])
+    cameras = {}
+    for name, track in recorded.scene.cameras.items():
+        count = int(np.searchsorted(track.timestamp_us, end_us, side="right"))
+        parts = {
+            field: getattr(track, field)[:count]
+            for field in ("timestamp_us", "image_paths", "is_keyframe", "x_m", "y_m", "yaw_rad")
+        }
+        cameras[name] = replace(track, **parts)
+    shorter = record_scene(replace(recorded.scene, cameras=cameras), EXPERTS)[0]
+    for name in (n for n in recorded.columns if n.startswith(tuple(TUTORIALS))):
+        np.testing.assert_array_equal(shorter[name], recorded.columns[name][:rounds])

@@ -9,7 +9,7 @@ import pytest
 
 from experiments.mixocity import DATA_VERSION, RETRAINED, full_size_scenes, planned_folds
 from mixo_env.nuscenes.selections import CAMERAS
-from mixo_env.recordings.schema import INERTIAL_EXPERTS, SPLITS, TRACKS
+from mixo_env.recordings.schema import HEADLINE_TRACKS, INERTIAL_EXPERTS, SPLITS
 from mixo_env.recordings.store import bundled_recordings, load_recordings
 
 DATA = files("mixo_env.recordings") / "data"
@@ -31,7 +31,7 @@ def test_every_fold_is_fitted(name):
     for split in ("train", "test"):
         assert len(recordings.select(split=split)) > 0
     folds = {str(fold) for fold in SPLITS["all"]}
-    for track in TRACKS:
+    for track in HEADLINE_TRACKS:
         assert folds <= set(recordings.manifest.linear_weights[track])
         assert recordings.manifest.reward_scale_rad[track] > 0
 

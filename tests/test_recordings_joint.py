@@ -17,7 +17,7 @@ from mixo_env.leaderboard.board import build
 from mixo_env.nuscenes.selections import ALL_CAMERAS, CAMERAS
 from mixo_env.recordings.joint import JOINT, host
 from mixo_env.recordings.record import RecordConfig, record
-from mixo_env.recordings.schema import TRACKS, VARIANT_COLUMNS
+from mixo_env.recordings.schema import HEADLINE_TRACKS, VARIANT_COLUMNS
 from mixo_env.recordings.steps import Experts, record_scene
 from mixo_env.recordings.store import load_recordings
 from tests.recording_fakes import FakeCamera, FakeDataset, FakeInertial, make_scene
@@ -62,7 +62,7 @@ def test_it_has_a_row_but_no_vote_and_enters_no_oracle():
     exact = {f"{JOINT}.{name}": bare[f"CAM_BACK.{name}"].copy() for name in VARIANT_COLUMNS}
     exact[f"{JOINT}.yaw_increment_rad"] = bare["truth.yaw_increment_rad"].astype(np.float32)
     recordings = bare.replace(replace(bare.manifest, variants={JOINT: "CAM_BACK"}), exact)
-    for track in TRACKS:
+    for track in HEADLINE_TRACKS:
         assert recordings.voters(track) == bare.voters(track)
         one, other = (Replay(each, track=track) for each in (recordings, bare))
         for replay in (one, other):

@@ -22,7 +22,7 @@ from mixo_env.policies.registry import create, names
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.keyframes import at_keyframes
 from mixo_env.recordings.record import RecordConfig, record
-from mixo_env.recordings.schema import INERTIAL_EXPERTS, TRACKS, VARIANT_COLUMNS, VehicleConstants, columns
+from mixo_env.recordings.schema import HEADLINE_TRACKS, INERTIAL_EXPERTS, VARIANT_COLUMNS, VehicleConstants, columns
 from mixo_env.recordings.steps import Experts, record_scene
 from mixo_env.recordings.store import load_recordings, save_recordings
 from mixo_env.recordings.variants import WITHOUT_INITIALISATION, as_variant, variants
@@ -99,7 +99,7 @@ def test_recorded_saved_loaded(tmp_path):
 def test_variants_have_no_vote_and_are_not_observed(recordings):
     bare = synthetic_recordings(0)
     assert recordings.experts == bare.experts
-    for track in TRACKS:
+    for track in HEADLINE_TRACKS:
         assert recordings.voters(track) == bare.voters(track)
         one, other = (Replay(each, track=track) for each in (recordings, bare))
         assert one.layout.width == other.layout.width

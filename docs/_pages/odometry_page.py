@@ -22,7 +22,9 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 
+from docs._pages.experts_section import experts_section
 from docs._pages.odometry_pictures import NEAREST_M, PairView, Track, compare, draw_frames, draw_pairs, draw_states
+from experiments.calibration import collect, draw
 from experiments.speed.drives import Drive, open_drives
 from mixo_env.cli.results import RESULTS
 from mixo_env.errors import MixoError
@@ -34,6 +36,7 @@ from mixo_env.experts.monocular.pair import PairSolver
 from mixo_env.files import write_text
 from mixo_env.nuscenes.scene import CameraCalibration
 from mixo_env.nuscenes.selections import CAMERAS
+from mixo_env.recordings.store import load_recordings
 from mixo_env.simulator.city.vehicles import VEHICLE_KINDS, VehicleState
 from mixo_env.simulator.config import SimulationConfig
 
@@ -335,7 +338,8 @@ With one camera spoilt, ten scenes of seed 101 (JOINT .00164):
 
 def page() -> str:
     """The text of the page."""
-    return TEXT.format(nearest=NEAREST_M, signals=signals_table(), settings=settings_table())
+    own = TEXT.format(nearest=NEAREST_M, signals=signals_table(), settings=settings_table())
+    return own + experts_section(collect(load_recordings()))
 
 
 @dataclass(frozen=True)
@@ -361,6 +365,7 @@ class OdometryPage:
         draw_pairs(views).savefig(figures / "odometry-pairs.jpg", dpi=80)
         draw_states(tracks, COVERED, COVERED_S).savefig(figures / "odometry-states.png", dpi=100)
         draw_frames().savefig(figures / "odometry-frames.png", dpi=80)
+        draw(collect(load_recordings()), figures / "odometry-calibration.png")
         write_text(self.out / "odometry.md", page())
         print(f"wrote {self.out / 'odometry.md'} and its figures")
 

@@ -31,8 +31,9 @@ class Benchmark:
     """Folder written by `mixo record`, or the name of a bundled recording. None: the bundled mixocity."""
 
     tracks: tuple[str, ...] = ()
-    """Who votes besides the cameras (PAPER, VISION, CONSUMER); every track has a table of its own. Empty: all; of
-    imported trajectories alone all are the same, and VISION stands for them."""
+    """Who votes besides the cameras (PAPER, VISION, CONSUMER; UNEQUAL: experts of other families, where recorded);
+    every track has a table of its own. Empty: all; of imported trajectories alone the first three are the same, and
+    VISION stands for them."""
 
     policies: tuple[str, ...] = ()
     """Rows to run; case, hyphens and underscores do not matter. Empty: all."""

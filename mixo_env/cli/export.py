@@ -42,7 +42,7 @@ class Export:
     """Scenes of these folds only; a saved policy is refused on the drives it was fitted on. Empty: all."""
     format: Literal["tum", "kitti"] = "tum"
     """tum: with Unix times, z up. kitti: camera axes, no times."""
-    track: Literal["PAPER", "VISION", "CONSUMER"] | None = None
+    track: Literal["PAPER", "VISION", "CONSUMER", "UNEQUAL"] | None = None
     """Who votes besides the cameras. None: CONSUMER where it can be played, else VISION."""
     seed: int = 0
     """Of learned policies."""

@@ -34,6 +34,7 @@ class Record:
       mixo record city --out recorded --retrained CAM_BACK_RIGHT          rows "w/ retrained vocabulary" of the paper
       mixo record city --out recorded --experts JOINT                     and all cameras in one estimate
       mixo record /data/nuscenes --out steps --no-images                  inertial experts, from tables and CAN bus
+      mixo record city --out recorded --experts TUTORIAL                  and experts for the track UNEQUAL
       mixo benchmark --recordings recorded                                what to do next
     """
 
@@ -68,8 +69,9 @@ class Record:
     """Folds of the cross-validation: whole drives, or the paper's contiguous blocks of scenes."""
     retrained: tuple[str, ...] = ()
     """Cameras to record once more with a vocabulary retrained on 20 % of the images of the other folds."""
-    experts: tuple[Literal["JOINT"], ...] = ()
-    """Experts beside the single cameras; JOINT: all cameras in one estimate, a row of its own that never votes."""
+    experts: tuple[Literal["JOINT", "TUTORIAL"], ...] = ()
+    """Experts beside the single cameras; JOINT: all cameras in one estimate, a row of its own that never votes.
+    TUTORIAL: the odometry everyone writes first, on every camera; votes in track UNEQUAL alone."""
     despite: tuple[str, ...] = ()
     """Checks of `mixo inspect` whose problems are accepted, by the name that stands before the remark."""
     data_version: str | None = None
@@ -81,6 +83,7 @@ class Record:
         from mixo_env.errors import ConfigurationError, unknown
         from mixo_env.experts.joint.config import JointConfig
         from mixo_env.experts.monocular.config import MonocularConfig
+        from mixo_env.experts.tutorial import TutorialConfig
         from mixo_env.nuscenes.checks.judge import JudgedDataset
         from mixo_env.nuscenes.selecting import chosen
         from mixo_env.nuscenes.tables import open_dataset
@@ -118,6 +121,7 @@ class Record:
             variants=variants,
             joint=JointConfig() if "JOINT" in self.experts else None,
             images=self.images,
+            tutorial=TutorialConfig() if "TUTORIAL" in self.experts else None,
         )
         with progress("recording scenes") as report:
             recordings = record(

@@ -30,7 +30,7 @@ class Score:
     """module:Class, file.py:Class (or a function), a saved folder, a zip of Stable-Baselines3, or a row's name."""
 
     track: str = "VISION"
-    """Who votes besides the cameras: PAPER, VISION or CONSUMER."""
+    """Who votes besides the cameras: PAPER, VISION or CONSUMER; UNEQUAL: experts of other families."""
 
     recordings: Path | None = None
     """Folder written by `mixo record`, or the name of a bundled recording. None: the bundled mixocity."""

@@ -18,6 +18,7 @@ from mixo_env.envs.stepping import DT, SUBSTITUTE
 from mixo_env.errors import ConfigurationError, RecordingError
 from mixo_env.experts.expert import State
 from mixo_env.recordings.collection import Recordings
+from mixo_env.recordings.schema import UNEQUAL
 
 PARTS = ("matches", "inliers", "residual_px", "flow_px", "state", "awake", "yaw_rates", "available", "disagreement")
 """Quantities that depend on the switches, in the order :func:`silence` takes their columns."""
@@ -89,6 +90,11 @@ class BudgetReplay(Replay):
             raise ConfigurationError(
                 "expected recordings with cameras to switch on and off, these hold imported trajectories alone: "
                 "MixoOdometry-v0 plays them"
+            )
+        if options["track"] == UNEQUAL:
+            raise ConfigurationError(
+                f"track {UNEQUAL}: the experts of other families have no price and cannot be switched off; choose "
+                "PAPER, VISION or CONSUMER, or MixoOdometry-v0"
             )
         super().__init__(recordings, quantities=(*quantities, AWAKE), **options)
         if not self.cameras:

@@ -98,7 +98,7 @@ class MixoOdometryEnv(PlainSpec, gym.Env[Any, Any]):  # pyright: ignore[reportIn
     | option | default | meaning |
     |---|---|---|
     | `recordings` | `None` | folder or name of recordings, or a `Recordings`; `None`: the bundled `mixocity` |
-    | `track` | `"CONSUMER"` | who votes: `"PAPER"`, `"VISION"` (cameras alone) or `"CONSUMER"`; never compare across |
+    | `track` | `"CONSUMER"` | who votes: `"PAPER"`, `"VISION"` (cameras alone), `"CONSUMER"`, `"UNEQUAL"`; see below |
     | `split` | `"train"` | `"train"`: all folds but `fold`; `"test"`: that fold; `"all"`: both; `"ood"`: night |
     | `fold` | `3` | the fold held out |
     | `conditions` | `None` | only scenes that show all of these, a list of `"day"`, `"night"` and `"rain"` |
@@ -113,6 +113,9 @@ class MixoOdometryEnv(PlainSpec, gym.Env[Any, Any]):  # pyright: ignore[reportIn
     | `faults` | `()` | faults to inject, see below |
     | `dataroot` | `None` | the nuScenes folder that was recorded, for `images` and `"pixels"` |
     | `render_mode` | `None` | `"ansi"`: one line; `"rgb_array"`: a frame of 540 x 960, drawn without a display |
+
+    Tracks are never compared with each other. In `"UNEQUAL"` experts of other families (TUTORIAL, ORBSLAM3, LEARNED,
+    one a camera) vote beside the cameras' own odometry; recordings that hold none of them cannot play it.
 
     An unknown option or value and one of the wrong type raise `ConfigurationError`, which names what is valid. With
     `lost="mask"` the other experts share the weight of the masked ones (`"raw"`: they do not); where nobody votes, the

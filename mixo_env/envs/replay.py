@@ -76,7 +76,8 @@ class Replay:
 
         Args:
             recordings: any number of scenes.
-            track: ``"PAPER"``, ``"VISION"`` or ``"CONSUMER"``: who votes, and which inertial expert substitutes.
+            track: ``"PAPER"``, ``"VISION"``, ``"CONSUMER"`` or ``"UNEQUAL"``: who votes, and which inertial expert
+                substitutes.
             experts: who votes, in the order of the weights (default: the track's voters).
             previous: source of the observed previous yaw rate; ``"truth"`` is privileged.
             lost: a lost expert votes with the inertial increment, or does not vote.

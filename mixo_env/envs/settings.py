@@ -20,7 +20,7 @@ from mixo_env.recordings.schema import SPLITS
 
 ObservationName = Literal["paper", "rich", "dict", "pixels"]
 Order = Literal["random", "fixed"]
-Track = Literal["PAPER", "VISION", "CONSUMER"]
+Track = Literal["PAPER", "VISION", "CONSUMER", "UNEQUAL"]
 Split = Literal["train", "test", "all", "ood"]
 
 

@@ -19,6 +19,7 @@ from mixo_env.policies.policy import Policy
 from mixo_env.policies.registry import names as policy_names
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.folds import OUT_OF_DISTRIBUTION
+from mixo_env.recordings.schema import UNEQUAL
 
 RANKING_LOGS = 10
 """Drives needed before an order of rows means anything; fewer only show that everything works."""
@@ -154,7 +155,17 @@ def requested(
     """
     for track in tracks:
         recordings.voters(track)  # raises
-    return choose(policies, (*policy_names(recordings), *outside, *FLOORS))
+    chosen = choose(policies, (*policy_names(recordings), *outside, *FLOORS))
+    if not any(shown_in(recordings, track, chosen) for track in tracks or recordings.distinct_tracks):
+        raise ConfigurationError(
+            f"{', '.join(chosen)}: shown in track {UNEQUAL} alone, got --tracks {' '.join(tracks)}: add {UNEQUAL}"
+        )
+    return chosen
+
+
+def shown_in(recordings: Recordings, track: str, rows: Sequence[str]) -> tuple[str, ...]:
+    """Those of ``rows`` that the table of a track has: experts of other families are in that of UNEQUAL alone."""
+    return tuple(row for row in rows if track == UNEQUAL or row not in recordings.further)
 
 
 def choose(asked: Sequence[str], valid: Sequence[str]) -> tuple[str, ...]:
@@ -211,7 +222,7 @@ class Builder:
         """Rows tested everywhere, and apart from them those tested on one fold, beside the other learned ones."""
         runs: list[Run] = []
         left_out: dict[str, str] = {}
-        for name in chosen:
+        for name in shown_in(self._protocol.recordings, track, chosen):
             self._progress(f"{track}: {name}")
             try:
                 folds = self._protocol.tested_folds[-1:] if self._protocol.expensive(name) else None

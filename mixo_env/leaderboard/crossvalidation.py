@@ -187,7 +187,7 @@ class CrossValidation:
 
     def _run_learned(self, name: str, track: str, folds: Sequence[int] | None, privileged: bool) -> Run:
         """Freshly fitted policies per fold, each tested on the scenes it has not seen."""
-        if self.foreign and self._bundled().voters(track) != self.recordings.voters(track):
+        if self.foreign and not self._bundled_experts(track):
             raise PolicyError(
                 f"{name} learns, and needs drives that are not tested: these recordings have fewer than two folds, and "
                 "no bundled recording has their experts"
@@ -221,6 +221,11 @@ class CrossValidation:
                 truth: (rollout(policy, with_truth(scenes, truth), track, privileged=True),) for truth in self.truths
             }
         return dict.fromkeys(self.truths, (rollout(policy, scenes, track),))
+
+    def _bundled_experts(self, track: str) -> bool:
+        """Whether the same experts vote in a track of the bundled recordings."""
+        bundled = self._bundled()
+        return track in bundled.tracks and bundled.voters(track) == self.recordings.voters(track)
 
     def _foreign_scenes(self) -> Recordings:
         """Bundled scenes whose drives are not tested."""

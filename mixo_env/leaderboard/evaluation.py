@@ -197,8 +197,9 @@ class Truth:
 def lost_tracks(recordings: Recordings, name: str, *, instantly: bool = False) -> LostTracks | None:
     """Lost tracks behind a row of the leaderboard.
 
-    A camera's or imported expert's own for its row, ``None`` for inertial experts and floors, which have no track to
-    lose; for everything else the times when no camera was tracking (no imported expert, where there are no cameras).
+    A camera's, further or imported expert's own for its row, ``None`` for inertial experts and floors, which have no
+    track to lose; for everything else the times when no camera was tracking (no imported expert, where there are no
+    cameras).
 
     Args:
         recordings: all scenes.
@@ -206,10 +207,10 @@ def lost_tracks(recordings: Recordings, name: str, *, instantly: bool = False) -
         instantly: as if every camera tracked again with its first good pair of images.
     """
     manifest = recordings.manifest
-    imported = manifest.imported
+    imported = (*manifest.imported, *recordings.further)
     if name in FLOORS or name in manifest.inertial or (instantly and (name in imported or not manifest.cameras)):
         return None
-    cameras = manifest.cameras or imported
+    cameras = manifest.cameras or manifest.imported
     tracking = instantly_tracking if instantly else _tracking
     if name in manifest.cameras or name in imported:
         state = recordings[f"{name}.state"]

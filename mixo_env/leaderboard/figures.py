@@ -104,7 +104,7 @@ def shown_rows(board: Leaderboard, standings: Standings) -> list[Row]:
     order = [row.name for row in standings.rows] + [row.name for row in standings.one_fold_rows]
     order = list(dict.fromkeys(order))
     if len(order) > MOST_ROWS:
-        first = [name for name in (*PREFERRED, *board.recordings.manifest.imported) if name in rows]
+        first = [name for name in (*PREFERRED, *board.recordings.headline_imported) if name in rows]
         rest = [name for name in order if name not in first and not rows[name].run.privileged]
         kept = set([*first, *rest][:MOST_ROWS])
         order = [name for name in order if name in kept]

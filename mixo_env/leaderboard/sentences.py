@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from mixo_env.experts.families import is_family_expert
 from mixo_env.leaderboard.board import RANKING_LOGS, Leaderboard, Standings
 from mixo_env.leaderboard.checks import silent_experts
 from mixo_env.leaderboard.comparisons import CONFIRMATORY, Comparison, Comparisons
@@ -11,7 +12,7 @@ from mixo_env.leaderboard.firing_order import FiringOrder, Told, firing_order
 from mixo_env.leaderboard.noise import Source, yaw_noise
 from mixo_env.leaderboard.rows import Row
 from mixo_env.metrics.tracks import LostTracks
-from mixo_env.recordings.schema import TRACKS, TRUE_DISTANCE, Manifest
+from mixo_env.recordings.schema import TRACKS, TRUE_DISTANCE, UNEQUAL, Manifest
 
 TRUTH_NAMES = {
     "exact": "the simulator's noise-free poses",
@@ -155,8 +156,12 @@ def count_of(number: int, noun: str) -> str:
 
 def title(standings: Standings, manifest: Manifest) -> str:
     """What votes in this track, and where the distance comes from."""
-    inertial = TRACKS[standings.track]
-    who = " and ".join(["the cameras"] * bool(manifest.cameras) + ["the imported experts"] * bool(manifest.imported))
+    inertial, own = TRACKS[standings.track], [name for name in manifest.imported if not is_family_expert(name)]
+    who = " and ".join(
+        ["the cameras"] * bool(manifest.cameras)
+        + ["the imported experts"] * bool(own if manifest.cameras else manifest.imported)
+        + ["the experts of other families"] * (standings.track == UNEQUAL)
+    )
     if not who:
         votes = f"{inertial} votes alone"
     elif not manifest.inertial:

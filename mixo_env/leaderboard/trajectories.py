@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 
 from mixo_env.errors import ConfigurationError
-from mixo_env.leaderboard.board import choose
+from mixo_env.leaderboard.board import choose, shown_in
 from mixo_env.leaderboard.crossvalidation import CrossValidation, Run
 from mixo_env.leaderboard.evaluation import FLOORS, Truth, poses
 from mixo_env.policies.agent import Frozen
@@ -115,7 +115,9 @@ def ways(
     truth = Truth(protocol.recordings, protocol.truths[0])
     everywhere = np.ones(len(protocol.recordings), np.bool_)
     yield from _scenes(GROUNDTRUTH, truth.poses, everywhere, protocol.recordings)
-    for name in dict.fromkeys((*recordings.experts, *(policy.name for policy in policies))):
+    for name in dict.fromkeys(
+        (*shown_in(recordings, track, recordings.experts), *(policy.name for policy in policies))
+    ):
         progress(name)
         run: Run = protocol.run(name, track, folds=protocol.tested_folds[-1:] if protocol.expensive(name) else None)
         yield from _scenes(name, poses(run.travel, truth.poses, truth.offsets), run.tested, protocol.recordings)

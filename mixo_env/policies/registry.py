@@ -41,11 +41,14 @@ POLICIES: dict[str, type[Policy]] = {
 
 
 def names(recordings: Recordings) -> tuple[str, ...]:
-    """All policies that can be scored on ``recordings``, in the order of the tables; variants follow their camera."""
+    """All policies that can be scored on ``recordings``, in the order of the tables.
+
+    Variants follow their camera, experts of other families (shown in track UNEQUAL alone) the last camera.
+    """
     manifest = recordings.manifest
     of = variants(recordings)
     cameras = [name for camera in manifest.cameras for name in (camera, *(v for v in of if of[v] == camera))]
-    own = (*manifest.inertial, *manifest.imported, *cameras, *POLICIES)
+    own = (*manifest.inertial, *recordings.headline_imported, *cameras, *recordings.further, *POLICIES)
     return (*own, *plugins.plugins(own))
 
 

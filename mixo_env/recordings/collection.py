@@ -10,7 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixo_env.errors import ConfigurationError, RecordingError, unknown
-from mixo_env.recordings.schema import SPLITS, TRACKS, Manifest, SceneEntry, in_split
+from mixo_env.experts.families import FAMILIES, is_family_expert
+from mixo_env.recordings.schema import HEADLINE_TRACKS, SPLITS, TRACKS, UNEQUAL, Manifest, SceneEntry, in_split
 
 Column = NDArray[Any]
 
@@ -55,8 +56,23 @@ class Recordings:
 
     @property
     def experts(self) -> tuple[str, ...]:
-        """Every expert with columns here: cameras, then inertial, then imported."""
-        return self.manifest.cameras + self.manifest.inertial + self.manifest.imported
+        """Every expert that votes in some track: cameras, inertial, imported, then recorded ones of other families."""
+        recorded = tuple(name for name in self.further if name not in self.manifest.imported)
+        return self.manifest.cameras + self.manifest.inertial + self.manifest.imported + recorded
+
+    @property
+    def further(self) -> tuple[str, ...]:
+        """Experts of other families, recorded or imported: they vote in UNEQUAL and in no other track.
+
+        Without any camera there is no headline to keep them out of: imported experts are all alike then.
+        """
+        names = (*self.manifest.variants, *self.manifest.imported) if self.manifest.cameras else ()
+        return tuple(name for name in names if is_family_expert(name))
+
+    @property
+    def headline_imported(self) -> tuple[str, ...]:
+        """Imported experts that vote in every track: those of no family."""
+        return tuple(name for name in self.manifest.imported if name not in self.further)
 
     @property
     def column_names(self) -> tuple[str, ...]:
@@ -65,42 +81,53 @@ class Recordings:
 
     @property
     def counting(self) -> tuple[str, ...]:
-        """Experts whose match counts are observed: cameras, and imported ones if any of those brought counts."""
-        return self.manifest.cameras + (self.manifest.imported if self.manifest.counted else ())
+        """Experts whose match counts are observed: cameras, and imported ones if any of those brought counts.
+
+        Further experts count among themselves, so that they change nothing that the others observe.
+        """
+        counted = self.manifest.counted
+        imported = self.headline_imported if any(name in counted for name in self.headline_imported) else ()
+        further = tuple(name for name in self.further if name in counted or name in self.manifest.variants)
+        return self.manifest.cameras + imported + further
 
     @property
     def tracks(self) -> tuple[str, ...]:
         """Tracks that can be played here: those whose inertial expert is recorded, or all if no inertial one is.
 
-        VISION needs somebody besides the inertial experts.
+        VISION needs somebody besides the inertial experts, UNEQUAL an expert of another family.
         """
         inertial, others = self.manifest.inertial, self.manifest.cameras + self.manifest.imported
-        return tuple(t for t, voter in TRACKS.items() if voter in inertial or (others and not (inertial and voter)))
+        playable = [t for t in HEADLINE_TRACKS if TRACKS[t] in inertial or (others and not (inertial and TRACKS[t]))]
+        return (*playable, *([UNEQUAL] if self.further else []))
 
     @property
     def distinct_tracks(self) -> tuple[str, ...]:
-        """The tracks that differ: without any inertial expert all of them are VISION."""
-        return self.tracks if self.manifest.inertial else ("VISION",)
+        """The tracks that differ: without any inertial expert all but UNEQUAL are VISION."""
+        return self.tracks if self.manifest.inertial else tuple(t for t in self.tracks if t in ("VISION", UNEQUAL))
 
     def voters(self, track: str) -> tuple[str, ...]:
         """Experts that vote in ``track``: cameras, imported ones, then the track's inertial expert.
 
-        Where no inertial expert is recorded at all, cameras and imported experts are the voters of every track.
+        In UNEQUAL the experts of other families follow instead, and in no other track: recording them changes nothing
+        there. Where no inertial expert is recorded at all, the other tracks all have the voters of VISION.
 
         Raises:
-            ConfigurationError: for an unknown track, or one whose inertial expert alone is missing.
+            ConfigurationError: for an unknown track, or one whose own experts are missing.
         """
         if track not in TRACKS:
             raise ConfigurationError(unknown("track", track, TRACKS))
         if track not in self.tracks:
             needed = TRACKS[track] or "a camera or an imported expert"
+            if track == UNEQUAL:
+                families = ", ".join(f"{family}_..." for family in FAMILIES)
+                needed = f"an expert of another family beside the cameras ({families}; mixo record --experts TUTORIAL)"
             raise ConfigurationError(
                 f"track {track} needs {needed}, which these recordings lack: "
                 f"choose {', '.join(self.tracks) or 'others'}"
             )
         voter = TRACKS[track]
         inertial = (voter,) if voter in self.manifest.inertial else ()
-        return self.manifest.cameras + self.manifest.imported + inertial
+        return self.manifest.cameras + self.headline_imported + (self.further if track == UNEQUAL else inertial)
 
     def index(self, scene: str) -> int:
         """Position of a scene by name."""

@@ -49,7 +49,7 @@ def with_fits(recordings: Recordings) -> Recordings:
             for rows in [usable & (folds == fold)]
         ]
         scales[track] = float(DEFAULT_REWARD_SCALE_RAD)
-        if errors and not recordings.manifest.imported:
+        if errors and not set(recordings.voters(track)) & set(recordings.manifest.imported):
             error = np.concatenate(errors)
             scales[track] = float(MAD_TO_SIGMA * np.median(np.abs(error - np.median(error))))
         voters = recordings.voters(track)

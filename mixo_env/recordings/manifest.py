@@ -116,7 +116,7 @@ def check_manifest(manifest: Manifest) -> None:
     for by_fold in manifest.linear_weights.values():
         _check_known("fold held out", by_fold, ["none", *map(str, range(MOST_FOLDS))])
         for weights in by_fold.values():
-            _check_known("expert with a weight", weights, experts)
+            _check_known("expert with a weight", weights, (*experts, *manifest.variants))
             _check_finite("weight of LINEAR", weights.values())
 
 

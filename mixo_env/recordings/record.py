@@ -18,6 +18,8 @@ from typing import Any, Protocol
 import numpy as np
 
 from mixo_env.errors import ConfigurationError, DatasetError, MixoError, unknown
+from mixo_env.experts.expert import CameraExpert
+from mixo_env.experts.families import family_expert
 from mixo_env.experts.inertial import (
     SPEED_VARIANCE,
     WHEEL_RADIUS_M,
@@ -27,7 +29,8 @@ from mixo_env.experts.inertial import (
 )
 from mixo_env.experts.joint.config import JointConfig
 from mixo_env.experts.monocular.config import MonocularConfig
-from mixo_env.nuscenes.scene import Scene
+from mixo_env.experts.tutorial import TUTORIAL, TutorialConfig
+from mixo_env.nuscenes.scene import CameraCalibration, Scene
 from mixo_env.nuscenes.selections import CAMERAS
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.fitting import with_fits
@@ -100,6 +103,7 @@ class RecordConfig:
         joint: settings of JOINT, recorded as a variant, too; ``None`` leaves it out.
         images: look at them; without, the inertial experts are recorded alone, at the times that the tables tell of the
             cameras' images.
+        tutorial: settings of TUTORIAL, recorded for every camera; ``None`` leaves it out.
     """
 
     cameras: tuple[str, ...] = CAMERAS
@@ -110,6 +114,7 @@ class RecordConfig:
     variants: Mapping[str, Retrained] = field(default_factory=dict)
     joint: JointConfig | None = None
     images: bool = True
+    tutorial: TutorialConfig | None = None
 
     def __post_init__(self) -> None:
         """Check names.
@@ -125,15 +130,17 @@ class RecordConfig:
         for variant in self.variants.values():
             if variant.camera not in self.cameras:
                 raise ConfigurationError(unknown("camera of a variant", variant.camera, self.cameras))
-        if not self.images and (self.variants or self.joint):
-            raise ConfigurationError("JOINT and retrained vocabularies need images: leave them out, or look at images")
+        if not self.images and (self.variants or self.joint or self.tutorial):
+            raise ConfigurationError(
+                "JOINT, TUTORIAL and retrained vocabularies need images: leave them out, or look at images"
+            )
 
     def parameters(self) -> dict[str, Any]:
         """What decides the recorded values, as plain JSON values."""
-        joint = {} if self.joint is None else {"joint": asdict(self.joint)}
+        extra = {"joint": self.joint, "tutorial": self.tutorial}
         unseen = {} if self.images else {"images": False}
         return (
-            joint
+            {name: asdict(settings) for name, settings in extra.items() if settings is not None}
             | unseen
             | {
                 "schema_version": SCHEMA_VERSION,
@@ -155,20 +162,30 @@ class RecordConfig:
             }
         )
 
+    def recorded_variants(self) -> dict[str, str]:
+        """Name -> camera whose images it sees, or whose place it takes, in column order."""
+        retrained = {name: variant.camera for name, variant in self.variants.items()}
+        tutorial = {family_expert(TUTORIAL, camera): camera for camera in self.cameras if self.tutorial is not None}
+        return retrained | tutorial | ({} if self.joint is None else {JOINT: host(self.cameras)})
+
 
 def default_experts(config: RecordConfig, scene: str) -> Experts:
     """The project's own odometry for one scene."""
     if not config.images:
         return Experts(None, InertialOdometry)
     from mixo_env.experts.monocular.odometry import MonocularOdometry
+    from mixo_env.experts.tutorial import TutorialOdometry
 
     def camera(settings: MonocularConfig) -> partial[MonocularOdometry]:
         return partial(MonocularOdometry, config=settings)
 
-    variants = {
+    variants: dict[str, tuple[str, Callable[[CameraCalibration], CameraExpert]]] = {
         name: (variant.camera, camera(replace(config.monocular, vocabulary=str(variant.vocabulary[scene]))))
         for name, variant in config.variants.items()
     }
+    if config.tutorial is not None:
+        tutorial = partial(TutorialOdometry, config=config.tutorial)
+        variants |= {family_expert(TUTORIAL, channel): (channel, tutorial) for channel in config.cameras}
     return Experts(camera(config.monocular), InertialOdometry, variants, config.joint)
 
 
@@ -280,8 +297,7 @@ def _assemble(parts: list[Part], config: RecordConfig, version: str, skipped: di
         },
         software=software_versions(),
         camera_cost_ms=dict.fromkeys(cameras, CAMERA_COST_MS),
-        variants={name: variant.camera for name, variant in config.variants.items()}
-        | ({} if config.joint is None else {JOINT: host(config.cameras)}),
+        variants=config.recorded_variants(),
     )
     recordings = Recordings(manifest, _joined([part.columns for part in parts]))
     vehicles = training_constants(recordings)

@@ -18,8 +18,19 @@ SCHEMA_VERSION = 2
 INERTIAL_EXPERTS = ("INERTIAL", "INERTIAL_POSE", "INERTIAL_CONSUMER")
 """wheels + ms_imu; the paper's CAN ``pose``; wheels + vehicle_monitor or production-grade gyro."""
 
-TRACKS: dict[str, str | None] = {"PAPER": "INERTIAL_POSE", "VISION": None, "CONSUMER": "INERTIAL_CONSUMER"}
+UNEQUAL = "UNEQUAL"
+"""The track in which experts of other families (``experts/families.py``) vote beside the cameras."""
+
+TRACKS: dict[str, str | None] = {
+    "PAPER": "INERTIAL_POSE",
+    "VISION": None,
+    "CONSUMER": "INERTIAL_CONSUMER",
+    UNEQUAL: None,
+}
 """Track -> the inertial expert that votes beside the cameras (``None``: none does). Never mixed in one table."""
+
+HEADLINE_TRACKS = tuple(track for track in TRACKS if track != UNEQUAL)
+"""Those in which the cameras' own odometry votes: recording more experts changes nothing in them."""
 
 SPLITS: dict[str, tuple[int, ...]] = {"train": (0, 1, 2), "test": (3,), "all": (0, 1, 2, 3), "ood": (-1,)}
 """Named splits -> folds; fold -1 holds the night scenes, which are in no fold of the cross-validation.
@@ -151,7 +162,8 @@ class Manifest:
         cameras, inertial, imported: experts by kind, in column order.
         counted: imported experts for which match counts are recorded.
         distance: where ``distance_m`` comes from: ``"INERTIAL"``, ``"wheels"``, an imported expert, or ``"truth"``.
-        variants: name -> camera whose images it saw with other settings; scored, but never a voter nor observed.
+        variants: name -> camera whose images it saw with other settings or by another program; scored, and a voter in
+            no track but UNEQUAL, there only if it belongs to a family of further experts.
         parameters: resolved configuration of every expert, as plain JSON values.
         software: package -> version used when recording.
         scenes: in file order.

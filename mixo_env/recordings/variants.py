@@ -1,7 +1,8 @@
 """Reference rows of the paper's Table I: one camera under other circumstances. They are scored, but never vote.
 
 A variant is the recording itself with some columns of one camera exchanged. So a policy, an environment or an
-observation cannot meet one by accident: it has to be asked for.
+observation cannot meet one by accident: it has to be asked for. Experts of other families are recorded alike, but are
+no such rows: they stand for themselves, in the track UNEQUAL.
 """
 
 from __future__ import annotations
@@ -20,7 +21,7 @@ WITHOUT_INITIALISATION = "CAM_FRONT w/o inertial initialization"
 
 def variants(recordings: Recordings) -> dict[str, str]:
     """Variants that ``recordings`` can show: name -> camera, in the order of the cameras."""
-    found = dict(recordings.manifest.variants)
+    found = {name: of for name, of in recordings.manifest.variants.items() if name not in recordings.further}
     if "CAM_FRONT" in recordings.manifest.cameras:
         found[WITHOUT_INITIALISATION] = "CAM_FRONT"
     order = recordings.manifest.cameras.index
@@ -31,7 +32,7 @@ def as_variant(recordings: Recordings, name: str) -> Recordings:
     """The recordings with the columns of a variant in place of its camera's; the same for any other name."""
     if name == WITHOUT_INITIALISATION:
         return recordings.replace(columns=_without_initialisation(recordings, "CAM_FRONT"))
-    camera = recordings.manifest.variants.get(name)
+    camera = variants(recordings).get(name)
     return recordings.replace(
         columns={f"{camera}.{column}": recordings[f"{name}.{column}"] for column in VARIANT_COLUMNS if camera}
     )

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import cv2
@@ -120,3 +121,33 @@ def mount(calibration: CameraCalibration, max_pixels: int | None) -> MountedCame
         rotation.copy(),
         position.copy(),
     )
+
+
+def check_input(
+    camera: MountedCamera, image: NDArray[np.uint8], timestamp_us: int, last_us: int | None, distance_m: float
+) -> None:
+    """Check what an odometry of ``camera`` is given.
+
+    Args:
+        camera: checked.
+        image: must be ``(height, width)`` grey uint8, of the calibrated or the working size.
+        timestamp_us: must be later than ``last_us``.
+        last_us: of the image before; ``None`` for the first.
+        distance_m: since then; must be finite.
+
+    Raises:
+        DatasetError: for anything else.
+    """
+    name = camera.channel
+    if not isinstance(image, np.ndarray) or image.dtype != np.uint8 or image.ndim != 2:
+        kind = f"{image.dtype} {image.shape}" if isinstance(image, np.ndarray) else type(image).__name__
+        raise DatasetError(f"{name}: image must be grey uint8 (height, width), got {kind}: convert it first")
+    if image.shape not in (camera.full_shape, camera.working_shape):
+        raise DatasetError(
+            f"{name}: image must be {camera.full_shape[1]} x {camera.full_shape[0]} as calibrated, "
+            f"got {image.shape[1]} x {image.shape[0]}: one calibration fits one image size"
+        )
+    if last_us is not None and timestamp_us <= last_us:
+        raise DatasetError(f"{name}: image times must increase, got {timestamp_us} after {last_us}: sort them")
+    if not math.isfinite(distance_m):
+        raise DatasetError(f"{name}: distance must be finite, got {distance_m} m: check the wheel speeds")

@@ -7,10 +7,9 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from mixo_env.errors import DatasetError
 from mixo_env.experts.expert import CameraStep, State
 from mixo_env.experts.monocular.bundle import turn_change
-from mixo_env.experts.monocular.camera import MountedCamera, mount
+from mixo_env.experts.monocular.camera import MountedCamera, check_input, mount
 from mixo_env.experts.monocular.config import MonocularConfig
 from mixo_env.experts.monocular.course import Course
 from mixo_env.experts.monocular.heading import Heading
@@ -95,7 +94,7 @@ class MonocularOdometry:
         Raises:
             DatasetError: wrong type or size of image, time that does not increase, distance that is not finite.
         """
-        self._check(image, timestamp_us, distance_m)
+        check_input(self.camera, image, timestamp_us, self._last_timestamp_us, distance_m)
         self.pair = None
         previous, last, working = self._previous, self._last_image, self.camera.shrink(image)
         gap_s = math.inf if self._last_timestamp_us is None else (timestamp_us - self._last_timestamp_us) * 1e-6
@@ -108,23 +107,6 @@ class MonocularOdometry:
             return self._close(None, gap_s, distance_m)
         self.pair = self._solver.compare(previous, frame, gap_s, distance_m)
         return self._close(self.pair, gap_s, distance_m)
-
-    def _check(self, image: NDArray[np.uint8], timestamp_us: int, distance_m: float) -> None:
-        name, camera = self.camera.channel, self.camera
-        if not isinstance(image, np.ndarray) or image.dtype != np.uint8 or image.ndim != 2:
-            kind = f"{image.dtype} {image.shape}" if isinstance(image, np.ndarray) else type(image).__name__
-            raise DatasetError(f"{name}: image must be grey uint8 (height, width), got {kind}: convert it first")
-        if image.shape not in (camera.full_shape, camera.working_shape):
-            raise DatasetError(
-                f"{name}: image must be {camera.full_shape[1]} x {camera.full_shape[0]} as calibrated, "
-                f"got {image.shape[1]} x {image.shape[0]}: one calibration fits one image size"
-            )
-        if self._last_timestamp_us is not None and timestamp_us <= self._last_timestamp_us:
-            raise DatasetError(
-                f"{name}: image times must increase, got {timestamp_us} after {self._last_timestamp_us}: sort them"
-            )
-        if not math.isfinite(distance_m):
-            raise DatasetError(f"{name}: distance must be finite, got {distance_m} m: check the wheel speeds")
 
     def _close(self, pair: Pair | None, gap_s: float, distance_m: float) -> CameraStep:
         """Advance the state by one image and report."""
