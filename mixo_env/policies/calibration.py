@@ -76,7 +76,11 @@ class Calibration:
         Sums over ``WINDOW_S``: one step tells mostly the noise of the true poses, which cancels from step to step,
         while the errors of an expert lean to one side for a while; and heading is made of sums.
         """
-        steps = max(1, round(WINDOW_S / float(np.nanmedian(past.dt_s))))
+        return cls.over(past, max(1, round(WINDOW_S / float(np.nanmedian(past.dt_s)))))
+
+    @classmethod
+    def over(cls, past: Past, steps: int) -> Calibration:
+        """The same of sums over ``steps`` steps; 1 for a policy that has a model of what stays."""
         constant = np.where(np.isfinite(past.error_rad), 1.0, np.nan)
         return cls(
             np.maximum(_summed(past, constant, steps), SMALLEST_SCALE_RAD),

@@ -56,7 +56,7 @@ def weigh(correction: NDArray[np.floating], consensus: NDArray[np.floating], vot
 
 
 def train(
-    given: Lessons, inputs: NDArray[np.float32], hidden: int, learning_rate: float, epochs: int, batch: int
+    given: Lessons, inputs: NDArray[np.float32], hidden: int, learning_rate: float, updates: int, batch: int
 ) -> Layers:
     """Adam on the errors of the integrated heading; torch's generator decides the order and the first weights.
 
@@ -67,8 +67,8 @@ def train(
         inputs: ``(scenes, steps, experts, width)``, standardised.
         hidden: width of all layers but the last.
         learning_rate: at the beginning.
-        epochs: passes over the scenes.
-        batch: scenes in an update.
+        updates: how many; scenes come round in random order.
+        batch: scenes in an update, at most.
     """
     import torch
     from torch import nn
@@ -91,17 +91,17 @@ def train(
     scenes = torch.arange(len(inputs))
     with torch.no_grad():
         relative, absolute = errors(scenes, correct=False)
-    updates = epochs * -(-len(inputs) // batch)
     schedule = torch.optim.lr_scheduler.LambdaLR(optimiser, lambda t: 1.0 - t / updates)
-    for _ in range(epochs):
-        for rows in torch.randperm(len(inputs)).split(batch):
-            of_pieces, of_scenes = errors(rows)
-            loss = of_pieces / relative + of_scenes / absolute
-            optimiser.zero_grad()
-            loss.backward()
-            nn.utils.clip_grad_norm_(parameters, GRADIENT_NORM)
-            optimiser.step()
-            schedule.step()
+    rounds = -(-updates // -(-len(inputs) // batch))
+    order = [rows for _ in range(rounds) for rows in torch.randperm(len(inputs)).split(batch)]
+    for rows in order[:updates]:
+        of_pieces, of_scenes = errors(rows)
+        loss = of_pieces / relative + of_scenes / absolute
+        optimiser.zero_grad()
+        loss.backward()
+        nn.utils.clip_grad_norm_(parameters, GRADIENT_NORM)
+        optimiser.step()
+        schedule.step()
     return tuple((layer.weight.detach().numpy().copy(), layer.bias.detach().numpy().copy()) for layer in network)
 
 

@@ -43,12 +43,12 @@ class Token(Policy):
         *,
         hidden: int = 16,
         learning_rate: float = 0.002,
-        epochs: int = 20,
+        updates: int = 150,
         batch: int = 16,
         spoilt: int = 1,
     ) -> None:
-        """Set width, training, scenes a batch, and spoilt versions of every training scene."""
-        self.hidden, self.learning_rate, self.epochs = hidden, learning_rate, epochs
+        """Set width, training, scenes in an update, and spoilt versions of every training scene."""
+        self.hidden, self.learning_rate, self.updates = hidden, learning_rate, updates
         self.batch, self.spoilt = batch, spoilt
         self._known: dict[str, Sequence[float]] = {}
 
@@ -75,7 +75,7 @@ class Token(Policy):
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(int(trained))
             standard = (x - self._mean) / self._std
-            self._layers = train(given, standard, self.hidden, self.learning_rate, self.epochs, self.batch)
+            self._layers = train(given, standard, self.hidden, self.learning_rate, self.updates, self.batch)
 
     def reset(self, batch: int) -> None:
         """Forget how the experts did."""
@@ -90,7 +90,7 @@ class Token(Policy):
 
     def settings(self) -> dict[str, Any]:
         """Width and training."""
-        return {name: getattr(self, name) for name in ("hidden", "learning_rate", "epochs", "batch", "spoilt")}
+        return {name: getattr(self, name) for name in ("hidden", "learning_rate", "updates", "batch", "spoilt")}
 
     def tensors(self) -> dict[str, NDArray[Any]]:
         """Calibration, standardisation and network."""
