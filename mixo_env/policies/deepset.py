@@ -91,7 +91,7 @@ def train(
     scenes = torch.arange(len(inputs))
     with torch.no_grad():
         relative, absolute = errors(scenes, correct=False)
-    schedule = torch.optim.lr_scheduler.LambdaLR(optimiser, lambda t: 1.0 - t / updates)
+    schedule = torch.optim.lr_scheduler.LambdaLR(optimiser, lambda t: 1.0 - t / max(updates, 1))
     rounds = -(-updates // -(-len(inputs) // batch))
     order = [rows for _ in range(rounds) for rows in torch.randperm(len(inputs)).split(batch)]
     for rows in order[:updates]:

@@ -88,9 +88,8 @@ def watch(training: Recordings, track: str, calibration: Calibration) -> tuple[S
         truth.append((look["truth_yaw_rate"] * look["dt"])[:, 0].astype(np.float64) / UNIT_RAD)
         replay.step(weights)
     counts = np.stack([step.counts for step in steps], axis=1)
-    names = ("increment", "stated", "std", "voting", "step")
-    *experts, step = (np.stack([getattr(one, name) for one in steps]) for name in names)
-    return Seen(*experts, counts, step), np.stack(truth), np.stack(active)
+    stacked = {name: np.stack([getattr(one, name) for one in steps]) for name in Seen._fields if name != "counts"}
+    return Seen(**stacked, counts=counts), np.stack(truth), np.stack(active)
 
 
 def spoil(seen: Seen, active: NDArray[np.bool_], rng: np.random.Generator, *, strangers: bool) -> Seen:
@@ -134,9 +133,15 @@ def told_in_tokens(seen: Seen) -> tuple[NDArray[np.float32], NDArray[np.float32]
     """Signals, whole and consensus of all steps, ``(scenes, steps, ...)``."""
     steps, scenes, experts = seen.increment.shape
     memory = Memory.blank(scenes, experts)
-    told = [tokenise(Seen(*(x[t] for x in seen[:4]), seen.counts[:, t], seen.step[t]), memory) for t in range(steps)]
+    told = [tokenise(seen_at(seen, t), memory) for t in range(steps)]
     signals, whole, consensus = (np.stack([step[j] for step in told], axis=1).astype(np.float32) for j in range(3))
     return signals, whole, consensus
+
+
+def seen_at(seen: Seen, step: int) -> Seen:
+    """One step of all scenes."""
+    one = {name: getattr(seen, name)[step] for name in Seen._fields if name != "counts"}
+    return Seen(**one, counts=seen.counts[:, step])
 
 
 def pieces(training: Recordings) -> tuple[Piece, ...]:

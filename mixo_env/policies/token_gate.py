@@ -85,7 +85,7 @@ class Token(Policy):
         """Rows ``(batch, experts)`` that sum to one; who does not vote has none."""
         seen = read(observation, self._calibration)
         tokens = tokenise(seen, self._memory)
-        x = (_inputs(tokens.signals, tokens.whole) - self._mean) / self._std
+        x = ((_inputs(tokens.signals, tokens.whole) - self._mean) / self._std).astype(np.float32, copy=False)
         return weigh(corrections(self._layers, x, seen.voting), tokens.consensus, seen.voting)
 
     def settings(self) -> dict[str, Any]:
