@@ -97,7 +97,8 @@ def spoil(seen: Seen, active: NDArray[np.bool_], rng: np.random.Generator, *, st
 
     With ``strangers`` nothing is known of any expert beforehand.
     """
-    increment, stated, std, voting = (x.copy() for x in (seen.increment, seen.stated, seen.std, seen.voting))
+    increment, stated, std = (x.copy() for x in (seen.increment, seen.stated, seen.std))
+    voting = seen.voting.copy()
     if strangers:
         std[:] = np.inf
     experts = increment.shape[2]
