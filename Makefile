@@ -4,7 +4,7 @@ BIN := .venv/bin
 WORKERS ?= 2
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: benchmark mixocity test integration lint types unit format clean
+.PHONY: benchmark mixocity test integration integrations site faults coverage lint types unit format clean
 
 benchmark: .venv/installed  ## the leaderboard on the bundled recordings
 	$(BIN)/mixo benchmark
@@ -24,8 +24,30 @@ types: .venv/installed
 unit: .venv/installed
 	$(BIN)/python -m pytest -n 2 --dist loadscope -m "not integration"
 
-integration: .venv/integrations  ## needs minutes, other virtual environments or peers; absent peers are skipped
-	$(BIN)/python -m pytest -m integration
+integration: integrations site faults  ## minutes each; peers that are absent are skipped
+
+integrations: .venv/integrations  ## other libraries, programs and virtual environments
+	$(BIN)/python -m pytest -m "integration and not site and not faults"
+
+site: .venv/integrations  ## README, pages and notebook, followed word by word
+	$(BIN)/python -m pytest -m site
+
+faults: .venv/integrations  ## kills and damage at random
+	$(BIN)/python -m pytest -m faults
+
+# Machine code leaves no trace, so the second run takes the kernels as plain Python, on tests with tiny inputs;
+# a drive through the image front end is none of these.
+TRACED := $(wildcard tests/test_metrics_*.py tests/test_envs_*.py tests/test_recordings_*.py tests/test_policies_*.py)
+TRACED += tests/test_sequences.py tests/test_pose_lag.py tests/test_pose_lag_fit.py tests/test_fusion.py
+KERNELS := tests/test_envs_replay.py tests/test_envs_budget.py
+
+coverage: .venv/installed  ## branches of the plain Python and of the kernels that tests take, in four packages
+	$(BIN)/coverage erase
+	$(BIN)/coverage run -m pytest -m "not integration" $(TRACED)
+	NUMBA_DISABLE_JIT=1 $(BIN)/coverage run --append -m pytest -m "not integration" -k "not really_switched" $(KERNELS)
+	$(BIN)/coverage report
+	$(BIN)/coverage json --quiet
+	$(BIN)/python .ci/branches coverage.json 95
 
 format: .venv/installed
 	$(BIN)/ruff format .

@@ -19,6 +19,7 @@ import gymnasium as gym
 import numpy as np
 
 from mixo_env.envs.wrappers import standardise
+from mixo_env.files import atomic_path
 from mixo_env.policies.budget import Actions, BudgetPolicy, CameraSet, LinearByPattern, Played, greedy_order, play
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.store import load_recordings
@@ -138,8 +139,8 @@ class BudgetStudy:
             axis.set(xlabel="image processing [ms per step]", ylabel=label)
             axis.grid(alpha=0.3)
         axes[0].legend(fontsize=8)
-        self.out.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(self.out, dpi=110)
+        with atomic_path(self.out) as temporary:
+            figure.savefig(temporary, dpi=110, format=self.out.suffix[1:])
         plt.close(figure)
         print(f"wrote {self.out}")
 

@@ -72,9 +72,30 @@ def compiled_once(loop: Callable[..., Any]) -> Callable[..., Any]:
 
 def _compile(function: Any, **options: Any) -> Any:
     import numba
+    import numba.core.config
 
+    config: Any = numba.core.config
+    if config.DISABLE_JIT:
+        return _interpreted(function)
     with _numba_cache_for(Path(function.__code__.co_filename)) as found:
         return numba.njit(cache=found, **options)(function)
+
+
+def _interpreted(function: Any) -> Any:
+    """The function as plain Python, for coverage and debuggers: rows of structured arrays have attributes."""
+
+    @functools.wraps(function)
+    def call(*arguments: Any, **named: Any) -> Any:
+        named = {name: _with_attributes(argument) for name, argument in named.items()}
+        return function(*map(_with_attributes, arguments), **named)
+
+    return call
+
+
+def _with_attributes(argument: Any) -> Any:
+    """A view in which ``rows[i].field`` reads and writes the same memory; anything else as it is."""
+    structured = isinstance(argument, np.ndarray) and argument.dtype.names is not None
+    return argument.view(np.recarray) if structured else argument
 
 
 @contextmanager

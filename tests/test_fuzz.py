@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import pytest
+
 from experiments.fuzz import folders, networks, policies
 from tests.synthetic import synthetic_recordings
+
+pytestmark = pytest.mark.faults
 
 
 def test_damaged_tables_and_messages_are_judged_or_refused_in_one_line(tmp_path):

@@ -103,6 +103,17 @@ def test_exactly_straight_paths_align_by_the_shortest_turn(method):
     assert ate_m(truth, align(truth, backwards, method).apply(backwards)) < 1e-9
 
 
+@pytest.mark.parametrize("method", ["se3", "sim3"])
+def test_a_straight_path_driven_backwards_is_turned_round(method):
+    along = np.outer(np.arange(5.0), [0.6, 0.8, 0.0])
+    facing = np.tile([1.0, 0, 0, 0], (5, 1))
+    alignment = align(Trajectory(along, facing, None), Trajectory(-along, facing, None), method)
+    assert alignment.rotation is not None
+    np.testing.assert_allclose(-along @ alignment.rotation.T + alignment.translation_m, along, atol=1e-12)
+    np.testing.assert_allclose(alignment.rotation @ alignment.rotation.T, np.eye(3), atol=1e-12)
+    assert np.linalg.det(alignment.rotation) == pytest.approx(1.0)
+
+
 def test_standing_still_aligns_the_places_and_refuses_a_scale():
     identity = np.tile([1.0, 0.0, 0.0, 0.0], (5, 1))
     truth, estimate = Trajectory(np.ones((5, 3)), identity), Trajectory(np.zeros((5, 3)), identity)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -24,6 +26,11 @@ def still(times: list[float] | np.ndarray | None, poses: int = 0) -> Trajectory:
     n = poses if times is None else len(times)
     stamps = None if times is None else np.asarray(times, dtype=float)
     return Trajectory(np.zeros((n, 3)), np.tile([1.0, 0, 0, 0], (n, 1)), stamps)
+
+
+def numbered(frames: list[int]) -> Trajectory:
+    """With numbers of frames where times would stand."""
+    return replace(still(frames), counted=True)
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -55,6 +62,22 @@ def test_files_without_times_match_by_index():
     assert match(truth, estimate) == (truth, estimate)
 
 
+def test_numbers_of_frames_choose_poses_of_the_file_without_times():
+    whole = Trajectory(np.arange(18.0).reshape(6, 3), np.tile([1.0, 0, 0, 0], (6, 1)), None)
+    truth, estimate = match(whole, numbered([1, 3, 4]))
+    np.testing.assert_array_equal(truth.positions_m, whole.positions_m[[1, 3, 4]])
+    assert (len(estimate), estimate.timestamps_s) == (3, None)
+    truth, estimate = match(numbered([0, 2, 5]), whole)
+    np.testing.assert_array_equal(estimate.positions_m, whole.positions_m[[0, 2, 5]])
+    assert (len(truth), truth.timestamps_s) == (3, None)
+
+
+def test_a_limit_that_pairs_everything_is_refused_before_memory_is_full():
+    times = np.arange(6000.0)
+    with pytest.raises(TrajectoryError, match="expected a time difference that leaves few choices"):
+        associate(times, times, 1e4)
+
+
 @pytest.mark.parametrize(
     ("truth", "estimate", "words"),
     [
@@ -67,6 +90,8 @@ def test_files_without_times_match_by_index():
         (still(None, 2), still(None, 2), "at least 3"),
         (still([0.0, 1, 2]), still(None, 3), "G has times, E has none"),
         (still(None, 3), still([0.0, 1, 2]), "E has times, G has none"),
+        (still(None, 9), numbered([0, 1]), "at least 3 poses, got 2 in E"),
+        (still(None, 9), numbered([1, 2, 9]), "E numbers frames up to 9, G holds 9 without times"),
     ],
 )
 def test_errors_say_both_ranges_and_the_likely_cause(truth, estimate, words):

@@ -80,7 +80,7 @@ def test_every_command_of_the_pages_is_understood(tmp_path, monkeypatch, capsys)
         assert re.search(r"/data/nuscenes is not a folder|recorded|no folder 'inertial'", message), (line, message)
 
 
-@pytest.mark.integration
+@pytest.mark.site
 def test_the_pages_are_followed_word_by_word(tmp_path):
     root = stand_in(tmp_path)
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"

@@ -45,7 +45,7 @@ def run(command: list[str], cwd: Path) -> str:
     return done.stdout
 
 
-@pytest.mark.integration
+@pytest.mark.site
 def test_the_page_is_followed_word_by_word(tmp_path: Path) -> None:
     files(tmp_path)
     for line in COMMANDS:

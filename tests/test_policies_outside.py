@@ -156,7 +156,7 @@ def test_mixo_benchmark_shows_the_row_of_a_plug_in(recordings: Recordings, tmp_p
     assert "SUREST" in run(sys.executable, "-m", "mixo_env.cli.main", "benchmark", *options, cwd=tmp_path)
 
 
-@pytest.mark.integration
+@pytest.mark.site
 def test_the_ten_lines_of_the_page_give_a_row(tmp_path: Path) -> None:
     page = (ROOT / "docs/policies.md").read_text(encoding="utf-8")
     (code,) = re.findall(r"```python\n(.*?)```", page, re.DOTALL)
@@ -166,7 +166,7 @@ def test_the_ten_lines_of_the_page_give_a_row(tmp_path: Path) -> None:
     assert "SUREST - MIXO: " in out
 
 
-@pytest.mark.integration
+@pytest.mark.site
 def test_the_example_runs(tmp_path: Path) -> None:
     (tmp_path / "own_policy.py").write_text((ROOT / "examples/own_policy.py").read_text(encoding="utf-8"))
     printed = run(sys.executable, "own_policy.py", cwd=tmp_path)

@@ -25,6 +25,7 @@ def run_cells(cells: list[dict[str, Any]]) -> dict[str, Any]:
     return names
 
 
+@pytest.mark.site
 @pytest.mark.filterwarnings("ignore:FigureCanvasAgg is non-interactive")
 def test_every_cell_runs(capsys: pytest.CaptureFixture[str]) -> None:
     import matplotlib.pyplot as plt

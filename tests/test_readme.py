@@ -75,7 +75,7 @@ def prepare(work: Path) -> None:
         shutil.copy(work / source / "drive00.txt", work / f"{name}.txt")
 
 
-@pytest.mark.integration
+@pytest.mark.site
 def test_the_commands_are_followed_word_by_word(tmp_path: Path) -> None:
     """In order, as one reader would; only the path of the real folder is another."""
     prepare(tmp_path)

@@ -63,7 +63,7 @@ if __name__ == "__main__":
 """
 
 
-@pytest.mark.integration
+@pytest.mark.faults
 def test_a_cluster_records_the_same_with_a_worker_killed_and_all_but_the_scene_that_always_kills(tmp_path):
     pytest.importorskip("distributed")
     (tmp_path / "script.py").write_text(SCRIPT)

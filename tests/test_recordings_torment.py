@@ -10,6 +10,8 @@ from mixo_env.recordings.record import RecordConfig, record
 from tests.recording_fakes import FAKES, FakeDataset, make_scene
 from tests.synthetic import synthetic_recordings
 
+pytestmark = pytest.mark.faults
+
 
 def test_damaged_recordings_are_refused_in_one_line_or_whole(tmp_path):
     outcome = fuzz(synthetic_recordings(scenes=2, steps=15), inputs=150, seed=0, folder=tmp_path)
@@ -18,7 +20,6 @@ def test_damaged_recordings_are_refused_in_one_line_or_whole(tmp_path):
     assert outcome.counts["values: refused"] + outcome.counts["values: salvaged"] > 20
 
 
-@pytest.mark.integration
 def test_forty_kills_lose_nothing(tmp_path):
     names = [f"scene-{2001 + i}" for i in range(6)]
     dataset = FakeDataset({name: make_scene(tmp_path / "images", name, name[-1]) for name in names})

@@ -15,6 +15,8 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
+from mixo_env.files import atomic_path
+
 
 @dataclass(frozen=True)
 class EpisodeGif:
@@ -59,9 +61,16 @@ class EpisodeGif:
         palette = Image.new("P", (1, 1))
         palette.putpalette([value for colour in drawing for value in colour] + street)
         drawn = [picture.quantize(palette=palette, dither=Image.Dither.NONE) for picture in pictures]
-        self.out.parent.mkdir(parents=True, exist_ok=True)
         pause_ms = round(1000 * self.every / env.metadata["render_fps"] / 4)  # four times as fast as driven
-        drawn[0].save(self.out, save_all=True, append_images=drawn[1:], duration=pause_ms, loop=0, optimize=True)
+        moving: dict[str, Any] = {
+            "save_all": True,
+            "append_images": drawn[1:],
+            "duration": pause_ms,
+            "loop": 0,
+            "optimize": True,
+        }
+        with atomic_path(self.out) as temporary:
+            drawn[0].save(temporary, format="GIF", optimize=True, **moving)
         print(f"wrote {self.out}: {len(drawn)} frames, {self.out.stat().st_size / 1024:.0f} KiB")
         return 0
 

@@ -16,6 +16,7 @@ import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -33,12 +34,15 @@ from mixo_env.experts.monocular.camera import mount
 from mixo_env.experts.monocular.config import PRESETS, MonocularConfig
 from mixo_env.experts.monocular.odometry import MonocularOdometry
 from mixo_env.experts.monocular.pair import PairSolver
-from mixo_env.files import write_text
+from mixo_env.files import atomic_path, write_text
 from mixo_env.nuscenes.scene import CameraCalibration
 from mixo_env.nuscenes.selections import CAMERAS
 from mixo_env.recordings.store import load_recordings
 from mixo_env.simulator.city.vehicles import VEHICLE_KINDS, VehicleState
 from mixo_env.simulator.config import SimulationConfig
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 DOCS = Path(__file__).parents[1]
 SHOWN = SimulationConfig(scenes=1, seconds=4, seed=50, rain=0.0, night=0.0, low_texture=0.0)
@@ -342,6 +346,11 @@ def page() -> str:
     return own + experts_section(collect(load_recordings()))
 
 
+def _save(figure: Figure, path: Path, dpi: int) -> None:
+    with atomic_path(path) as temporary:
+        figure.savefig(temporary, dpi=dpi, format=path.suffix[1:])
+
+
 @dataclass(frozen=True)
 class OdometryPage:
     """Write docs/odometry.md and its figures, from a simulation of four seconds that takes about half a minute.
@@ -361,10 +370,9 @@ class OdometryPage:
         with tempfile.TemporaryDirectory() as folder:
             views, tracks = simulated(Path(folder) / "drive", config)
         figures = self.out / "figures"
-        figures.mkdir(parents=True, exist_ok=True)
-        draw_pairs(views).savefig(figures / "odometry-pairs.jpg", dpi=80)
-        draw_states(tracks, COVERED, COVERED_S).savefig(figures / "odometry-states.png", dpi=100)
-        draw_frames().savefig(figures / "odometry-frames.png", dpi=80)
+        _save(draw_pairs(views), figures / "odometry-pairs.jpg", dpi=80)
+        _save(draw_states(tracks, COVERED, COVERED_S), figures / "odometry-states.png", dpi=100)
+        _save(draw_frames(), figures / "odometry-frames.png", dpi=80)
         draw(collect(load_recordings()), figures / "odometry-calibration.png")
         write_text(self.out / "odometry.md", page())
         print(f"wrote {self.out / 'odometry.md'} and its figures")
@@ -375,9 +383,8 @@ class OdometryPage:
             root = kitti if kitti.is_dir() else None
         if root is not None:
             picture = RESULTS / "odometry" / f"{root.name}.jpg"
-            picture.parent.mkdir(parents=True, exist_ok=True)
             views = others(root, config)
-            draw_pairs(views, columns=min(2, len(views))).savefig(picture, dpi=100)
+            _save(draw_pairs(views, columns=min(2, len(views))), picture, dpi=100)
             print(f"wrote {picture}: not the project's images, so no part of the page")
         return 0
 

@@ -21,6 +21,7 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 
+from mixo_env.files import write_bytes
 from mixo_env.geometry import rotation_from_yaw
 from mixo_env.nuscenes.scene import CameraCalibration
 from mixo_env.simulator.city.streets import BLOCK_M, LANE_M
@@ -132,7 +133,8 @@ def main(options: Rendering) -> None:
         strips.append(np.vstack(pictures))
     print(f"memory: {resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MB at most")
     if options.strip is not None:
-        cv2.imwrite(str(options.strip), cv2.cvtColor(np.vstack(strips), cv2.COLOR_RGB2BGR))
+        _, encoded = cv2.imencode(options.strip.suffix, cv2.cvtColor(np.vstack(strips), cv2.COLOR_RGB2BGR))
+        write_bytes(options.strip, encoded.tobytes())
 
 
 if __name__ == "__main__":
