@@ -15,7 +15,7 @@ import numpy as np
 import tyro
 
 from mixo_env.errors import ConfigurationError, MixoError
-from mixo_env.leaderboard.crossvalidation import CrossValidation, GroundTruth
+from mixo_env.leaderboard.crossvalidation import CrossValidation, GroundTruth, Trial
 from mixo_env.leaderboard.evaluation import Truth, noisy_truth, with_wheels
 from mixo_env.leaderboard.noise import yaw_noise
 from mixo_env.recordings.collection import Recordings
@@ -45,7 +45,7 @@ class NoiseFloor:
         """All scenes, each vehicle, each log, at both clocks."""
         loaded = load_recordings(self.recordings)
         for clock in CLOCKS:
-            validation = CrossValidation(loaded, ground_truth=clock)
+            validation = CrossValidation(loaded, Trial(ground_truth=clock))
             if validation.truths[0] != "exact":
                 raise ConfigurationError("expected recordings with noise-free truth (a simulated folder), got none")
             print(self._table(clock, validation.recordings).text())

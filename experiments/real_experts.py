@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from mixo_env.cli.import_ import Import
 from mixo_env.errors import ConfigurationError, MixoError, PolicyError
-from mixo_env.leaderboard.crossvalidation import CrossValidation
+from mixo_env.leaderboard.crossvalidation import CrossValidation, Trial
 from mixo_env.leaderboard.evaluation import Travel, Truth
 from mixo_env.policies.registry import names as policy_names
 from mixo_env.recordings.collection import Recordings
@@ -112,7 +112,7 @@ def study(recordings: Recordings, policies: Sequence[str], seed: int = 0) -> Tab
         policies: rows besides experts and HUBER; empty: all.
         seed: of learned policies.
     """
-    protocol = CrossValidation(recordings, seed=seed)
+    protocol = CrossValidation(recordings, Trial(seed))
     truth = Truth(protocol.recordings, protocol.truths[0])
     experts = recordings.manifest.imported
     wanted = dict.fromkeys((*experts, REFERENCE, *(policies or policy_names(recordings))))

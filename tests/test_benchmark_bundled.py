@@ -5,6 +5,7 @@ from __future__ import annotations
 import pytest
 
 from mixo_env.leaderboard.board import Leaderboard, build
+from mixo_env.leaderboard.crossvalidation import Trial
 from mixo_env.recordings.schema import HEADLINE_TRACKS
 from mixo_env.recordings.store import load_recordings
 
@@ -15,7 +16,11 @@ VOTING = ("CAM_FRONT", "LINEAR", "HUBER")
 
 @pytest.fixture(scope="module")
 def board() -> Leaderboard:
-    return build(load_recordings().select(split="all"), policies=(*VOTING, "MULTICAMERA GT"), ground_truth="keyframes")
+    return build(
+        load_recordings().select(split="all"),
+        policies=(*VOTING, "MULTICAMERA GT"),
+        trial=Trial(ground_truth="keyframes"),
+    )
 
 
 @pytest.mark.parametrize("track", HEADLINE_TRACKS)

@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from experiments.second_city import Claim, SecondCity, tables_of, tau_of_lettered
+from experiments.second_city import Claim, SecondCity, standings_of, tau_of_lettered
 from mixo_env.errors import PolicyError
 from mixo_env.leaderboard.comparisons import Comparison
 from mixo_env.metrics.bootstrap import Interval
@@ -77,4 +77,4 @@ def test_study_runs_on_folders(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     assert all(len(claim["cities"]) == 2 for claim in written["confirmatory"])
     save_recordings(synthetic_recordings(2, scenes=2, logs=1), tmp_path / "one-fold")
     with pytest.raises(PolicyError, match="expected two folds or more"):
-        tables_of(str(tmp_path / "one-fold"))
+        standings_of(str(tmp_path / "one-fold"))

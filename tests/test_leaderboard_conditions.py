@@ -11,7 +11,7 @@ from mixo_env.errors import ConfigurationError
 from mixo_env.leaderboard import exports, report
 from mixo_env.leaderboard.board import Leaderboard, build
 from mixo_env.leaderboard.conditions import check_grouping, condition_of, members
-from mixo_env.leaderboard.crossvalidation import CrossValidation
+from mixo_env.leaderboard.crossvalidation import CrossValidation, Trial
 from mixo_env.leaderboard.evaluation import Truth, mean_errors
 from mixo_env.leaderboard.firing_order import best_shares, firing_order, weights_of_one
 from mixo_env.recordings.collection import Recordings
@@ -198,7 +198,7 @@ def test_a_row_of_several_seeds_is_the_mean_of_their_errors(
     from mixo_env.policies.gate import Mixo
 
     monkeypatch.setattr(Mixo.__init__, "__kwdefaults__", Mixo.__init__.__kwdefaults__ | {"min_updates": 20})
-    board = build(recordings, tracks=("VISION",), policies=("MIXO",), seeds=2)
+    board = build(recordings, tracks=("VISION",), policies=("MIXO",), trial=Trial(seeds=2))
     (row,) = board.standings[0].rows
     one, other = row.run.travels["exact"]
     assert not np.array_equal(one.yaw_increment_rad, other.yaw_increment_rad)
@@ -213,7 +213,9 @@ def test_a_row_of_several_seeds_is_the_mean_of_their_errors(
 
 
 def test_key_frames_are_the_papers_clock(recordings: Recordings) -> None:
-    board = build(recordings, tracks=("VISION",), policies=("CAM_FRONT", "LINEAR"), ground_truth="keyframes")
+    board = build(
+        recordings, tracks=("VISION",), policies=("CAM_FRONT", "LINEAR"), trial=Trial(ground_truth="keyframes")
+    )
     expected = [int(recordings.rows(i)["is_keyframe"].sum()) for i in range(14 + 1) if i != 7]
     assert [scene.rows for scene in board.recordings.scenes] == expected
     assert board.protocol.training(0).scenes[0].rows < 25

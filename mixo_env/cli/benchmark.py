@@ -63,6 +63,7 @@ class Benchmark:
         from mixo_env.files import write_json, write_text
         from mixo_env.leaderboard.board import build, requested
         from mixo_env.leaderboard.conditions import check_grouping
+        from mixo_env.leaderboard.crossvalidation import Trial
         from mixo_env.leaderboard.exports import to_csv, to_json
         from mixo_env.leaderboard.figures import draw_trajectories
         from mixo_env.leaderboard.report import print_leaderboard, to_markdown
@@ -82,9 +83,7 @@ class Benchmark:
                 recordings,
                 tracks=self.tracks,
                 policies=self.policies,
-                seed=self.seed,
-                seeds=self.seeds,
-                ground_truth=self.ground_truth,
+                trial=Trial(self.seed, self.seeds, self.ground_truth),
                 progress=lambda _: report(next(begun), tables * len(rows)),
             )
         write_json(folder / "configuration.json", self._resolved(board, recordings))

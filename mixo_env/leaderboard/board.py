@@ -10,12 +10,11 @@ import numpy as np
 from mixo_env.errors import ConfigurationError, PolicyError, unknown
 from mixo_env.leaderboard.comparisons import Comparisons
 from mixo_env.leaderboard.conditions import Group, groups_of
-from mixo_env.leaderboard.crossvalidation import CrossValidation, GroundTruth, Run
+from mixo_env.leaderboard.crossvalidation import USUAL, CrossValidation, Run, Trial
 from mixo_env.leaderboard.evaluation import FLOORS, Truth, noisy_truth
 from mixo_env.leaderboard.noise import NOISE_FLOOR
 from mixo_env.leaderboard.rows import Row, Scorer
 from mixo_env.policies.linear import Linear
-from mixo_env.policies.policy import Policy
 from mixo_env.policies.registry import names as policy_names
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.folds import OUT_OF_DISTRIBUTION
@@ -102,10 +101,7 @@ def build(
     *,
     tracks: Sequence[str] = (),
     policies: Sequence[str] = (),
-    seed: int = 0,
-    seeds: int = 1,
-    ground_truth: GroundTruth = "poses",
-    outside: Mapping[str, type[Policy] | Policy] | None = None,
+    trial: Trial = USUAL,
     folds: Sequence[int] = (),
     night: bool = True,
     progress: Callable[[str], None] = lambda _: None,
@@ -116,10 +112,7 @@ def build(
         recordings: scenes to score; their folds divide training from test.
         tracks: to run; empty: all that differ on these recordings.
         policies: names of policies and floors, however they are spelt (case, hyphens); empty: all.
-        seed: of every learned policy and of the bootstrap.
-        seeds: of every learned policy; its row is the mean of their errors.
-        ground_truth: a step from image to image, or from key frame to key frame as in the paper.
-        outside: further policies, name -> class, or one that is played as it is.
+        trial: seeds, clock and policies from outside.
         folds: score scenes of these only; empty: all.
         night: score also those in no fold, unless ``folds`` says which.
         progress: told what is about to run.
@@ -128,16 +121,12 @@ def build(
         ConfigurationError: for an unknown track, policy or fold.
         PolicyError: when a policy asked for by name does not fit the recordings.
     """
-    chosen, everything = requested(recordings, tracks, policies, tuple(outside or ())), not policies
-    protocol = CrossValidation(
-        recordings, seed=seed, seeds=seeds, ground_truth=ground_truth, outside=outside, tested_folds=folds
-    )
+    chosen, everything = requested(recordings, tracks, policies, tuple(trial.outside)), not policies
+    protocol = CrossValidation(recordings, trial, tested_folds=folds)
     day = Builder(protocol, progress, everything)
     dark = None
     if protocol.folds and night and not folds and any(scene.fold == OUT_OF_DISTRIBUTION for scene in recordings.scenes):
-        nights = CrossValidation(
-            recordings, seed=seed, seeds=seeds, ground_truth=ground_truth, out_of_distribution=True, outside=outside
-        )
+        nights = CrossValidation(recordings, trial, out_of_distribution=True)
         quick = [name for name in chosen if not protocol.expensive(name)]
         dark = Builder(nights, lambda text: progress(f"night, {text}"), everything).board(
             tracks or recordings.distinct_tracks, quick
@@ -208,7 +197,7 @@ class Builder:
             noisy = self._truths[headline].measure(noisy_truth(protocol.recordings))
             samples = noisy.relative.rotation_deg_per_m
             self._floor = float(samples.mean()) if len(samples) else 0.0
-        self._scorer = Scorer(protocol.recordings, self._truths, self._floor, protocol.seed)
+        self._scorer = Scorer(protocol.recordings, self._truths, self._floor, protocol.trial.seed)
 
     def board(
         self, tracks: Sequence[str] | Mapping[str, object], chosen: Sequence[str], night: Leaderboard | None = None

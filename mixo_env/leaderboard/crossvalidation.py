@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
@@ -28,6 +28,32 @@ from mixo_env.recordings.vehicles import with_held_out_constants, with_training_
 
 GroundTruth = Literal["poses", "keyframes"]
 """One step from image to image, or from key frame to key frame (2 Hz) as in the paper."""
+
+
+@dataclass(frozen=True)
+class Trial:
+    """How policies are tried, whatever the scenes.
+
+    Attributes:
+        seed: of every learned policy and of the bootstrap.
+        seeds: of every learned policy; its row is the mean of their errors.
+        ground_truth: the clock.
+        outside: further policies, name -> class, or one that is played as it is.
+
+    Raises:
+        ConfigurationError: for no seed at all.
+    """
+
+    seed: int = 0
+    seeds: int = 1
+    ground_truth: GroundTruth = "poses"
+    outside: Mapping[str, type[Policy] | Policy] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        """Look at the number of seeds."""
+        if self.seeds < 1:
+            raise ConfigurationError(f"seeds: expected 1 or more, got {self.seeds}")
+
 
 UNFOLDED = -1
 """Stands for the held-out fold where none is held out."""
@@ -60,6 +86,10 @@ class Run:
         return next(iter(self.travels.values()))[0]
 
 
+USUAL = Trial()
+"""One seed, from image to image, nothing from outside."""
+
+
 class CrossValidation:
     """How the scenes of a recording are divided into training and test.
 
@@ -76,42 +106,34 @@ class CrossValidation:
         left_out: number of scenes that are not scored.
         foreign: learned policies are fitted on the bundled recordings.
         truths: those of the recordings, the headline first.
-        ground_truth: the clock.
-        seeds: of every learned policy.
+        trial: how policies are tried.
     """
 
     def __init__(
         self,
         recordings: Recordings,
+        trial: Trial = USUAL,
         *,
-        seed: int = 0,
-        seeds: int = 1,
-        ground_truth: GroundTruth = "poses",
         out_of_distribution: bool = False,
-        outside: Mapping[str, type[Policy] | Policy] | None = None,
         tested_folds: Sequence[int] = (),
         bundled: Callable[[], Recordings] = load_recordings,
     ) -> None:
         """Divide ``recordings``; when nothing is in a fold, all scenes are scored.
 
-        ``outside`` holds further policies by name: classes, or ones played as they are; ``tested_folds`` are
-        scored, empty: all.
+        ``tested_folds`` are scored, empty: all.
 
         Raises:
-            ConfigurationError: for no seed at all, or when no scene is out of distribution and these are asked for.
+            ConfigurationError: for an unknown fold, or when no scene is out of distribution and these are asked for.
             RecordingError: where a true pose, a speed or a distance is missing.
         """
-        if seeds < 1:
-            raise ConfigurationError(f"seeds: expected 1 or more, got {seeds}")
         check_complete(recordings)
         self.folds: tuple[int, ...] = tuple(sorted({scene.fold for scene in recordings.scenes if scene.fold >= 0}))
         for fold in tested_folds:
             if fold not in self.folds:
                 raise ConfigurationError(unknown("fold", fold, map(str, self.folds)))
         self.tested_folds: tuple[int, ...] = tuple(sorted(set(tested_folds))) or self.folds
-        self._strangers = dict(outside or {})
         self.foreign = len(self.folds) < 2
-        self.seed, self.seeds, self.ground_truth = seed, seeds, ground_truth
+        self.trial = trial
         self._inside = recordings.select(folds=self.folds) if self.folds else recordings
         self._outside = out_of_distribution
         tested = recordings.select(folds=[OUT_OF_DISTRIBUTION]) if out_of_distribution else self._inside
@@ -152,12 +174,13 @@ class CrossValidation:
             return False
 
     def _kind(self, name: str) -> type[Policy] | Policy:
-        return self._strangers[name] if name in self._strangers else kind(name, self.recordings)
+        outside = self.trial.outside
+        return outside[name] if name in outside else kind(name, self.recordings)
 
     def _create(self, name: str) -> Policy:
-        if name not in self._strangers:
+        if name not in self.trial.outside:
             return create(name, self.recordings)
-        given = self._strangers[name]
+        given = self.trial.outside[name]
         return make_policy(given) if isinstance(given, type) else given
 
     def run(self, name: str, track: str, *, folds: Sequence[int] | None = None) -> Run:
@@ -197,12 +220,12 @@ class CrossValidation:
         tested_folds = (UNFOLDED,) if whole else self.tested_folds if folds is None else tuple(folds)
         tested = np.array([whole or scene.fold in tested_folds for scene in entries])
         scene_of_row = np.repeat(np.arange(len(entries)), np.diff(self.recordings.offsets))
-        increments = {truth: np.zeros((self.seeds, self.recordings.offsets[-1])) for truth in self.truths}
+        increments = {truth: np.zeros((self.trial.seeds, self.recordings.offsets[-1])) for truth in self.truths}
         policies: dict[int, Policy] = {}
         for fold in tested_folds:
             here = np.array([whole or scene.fold == fold for scene in entries])
             scenes = self.recordings.select(scenes=[entries[i].name for i in np.flatnonzero(here)])
-            for k in range(self.seeds):
+            for k in range(self.trial.seeds):
                 policy = self._create(name)
                 policies.setdefault(fold, policy)
                 prepare(policy, self.training(fold), track, seed=self._seed_of(fold, k))
@@ -242,8 +265,8 @@ class CrossValidation:
     def _at_clock(self, recordings: Recordings) -> Recordings:
         """Recordings as policies and scores see them: poses without their lag, at the chosen clock."""
         corrected = lag_corrected(recordings)
-        return at_keyframes(corrected) if self.ground_truth == "keyframes" else corrected
+        return at_keyframes(corrected) if self.trial.ground_truth == "keyframes" else corrected
 
     def _seed_of(self, fold: int, repetition: int) -> int:
-        parts = [self.seed, fold + 1] + ([repetition] if repetition else [])
+        parts = [self.trial.seed, fold + 1] + ([repetition] if repetition else [])
         return int(np.random.SeedSequence(parts).generate_state(1)[0])

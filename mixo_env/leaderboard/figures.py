@@ -148,7 +148,7 @@ def _draw_lost(panel: Any, board: Leaderboard, cameras: list[str], steps: slice,
 
 def _title(board: Leaderboard, standings: Standings) -> str:
     return (
-        f"Track {standings.track}, data {board.recordings.manifest.data_version}, seed {board.protocol.seed}; "
+        f"Track {standings.track}, data {board.recordings.manifest.data_version}, seed {board.protocol.trial.seed}; "
         "no alignment, the first pose is the truth's; learned policies on scenes they have not seen"
     )
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from mixo_env.leaderboard.crossvalidation import CrossValidation, Run
+from mixo_env.leaderboard.crossvalidation import CrossValidation, Run, Trial
 from mixo_env.leaderboard.evaluation import Travel, Truth
 from mixo_env.leaderboard.report import cells, sections
 from mixo_env.leaderboard.rows import Scorer
@@ -28,7 +28,7 @@ def hold_out(recordings: Recordings, fold: int, *, seed: int = 0) -> tuple[Recor
         ConfigurationError: when the fold holds no scene.
         PolicyError: when no scene is left to train on.
     """
-    division = CrossValidation(recordings, seed=seed)
+    division = CrossValidation(recordings, Trial(seed))
     test = division.recordings.select(folds=[fold])
     return division.training(fold), with_truth(test, truths_of(test)[0])
 

@@ -40,16 +40,17 @@ LEGEND = (
 def conventions(board: Leaderboard) -> list[str]:
     """Everything needed to read the numbers, one sentence a line."""
     protocol, recordings = board.protocol, board.recordings
+    trial = protocol.trial
     pieces = board.truths[board.headline].pieces().items()
     samples = ", ".join(f"{length:g} m {count} ({scenes})" for length, (count, scenes) in pieces)
     size = f"{count_of(len(recordings), 'scene')} of {count_of(board.logs, 'log')}"
     intervals = f"Intervals: bootstrap over {board.logs} logs." if board.logs > 1 else "Intervals: none, one log."
-    clock = ", from key frame to key frame (2 Hz)" if protocol.ground_truth == "keyframes" else ""
-    seeds = f" and {protocol.seeds} seeds of learned policies (mean of their errors)" if protocol.seeds > 1 else ""
+    clock = ", from key frame to key frame (2 Hz)" if trial.ground_truth == "keyframes" else ""
+    seeds = f" and {trial.seeds} seeds of learned policies (mean of their errors)" if trial.seeds > 1 else ""
     lines = [
         f"Data {recordings.manifest.data_version}: {size}{clock}"
         + (f", {count_of(protocol.left_out, 'scene')} outside the folds left out" if protocol.left_out else "")
-        + f"; seed {protocol.seed}{seeds}.",
+        + f"; seed {trial.seed}{seeds}.",
         f"Alignment: none, the first pose is the truth's. {_truths(board)} A row that reads the truth chooses by the "
         "one that scores it.",
         f"RTE: mean over all pieces of path, starts 1 m apart; pieces (scenes) per length: {samples}.",

@@ -10,6 +10,7 @@ from typing import Any
 from mixo_env.errors import ConfigurationError, unknown
 from mixo_env.leaderboard.board import Leaderboard, build, requested
 from mixo_env.leaderboard.comparisons import Comparison
+from mixo_env.leaderboard.crossvalidation import Trial
 from mixo_env.leaderboard.exports import comparison_json, to_json
 from mixo_env.leaderboard.report import scores_table
 from mixo_env.leaderboard.rows import Row
@@ -129,9 +130,7 @@ def score(
         scenes,
         tracks=(track,),
         policies=names,
-        seed=options.seed,
-        seeds=options.seeds,
-        outside=outside,
+        trial=Trial(options.seed, options.seeds, outside=outside),
         folds=chosen,
         night=False,
         progress=progress,

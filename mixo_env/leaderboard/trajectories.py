@@ -15,7 +15,7 @@ import numpy as np
 
 from mixo_env.errors import ConfigurationError
 from mixo_env.leaderboard.board import choose, shown_in
-from mixo_env.leaderboard.crossvalidation import CrossValidation, Run
+from mixo_env.leaderboard.crossvalidation import CrossValidation, Run, Trial
 from mixo_env.leaderboard.evaluation import FLOORS, Truth, poses
 from mixo_env.policies.agent import Frozen
 from mixo_env.policies.fitting import check
@@ -107,7 +107,7 @@ def ways(
     """
     voters = recordings.voters(track)
     outside = {policy.name: policy.kind for policy in policies if not policy.builtin}
-    protocol = CrossValidation(recordings, seed=seed, outside=outside, tested_folds=folds)
+    protocol = CrossValidation(recordings, Trial(seed, outside=outside), tested_folds=folds)
     for kind in outside.values():
         if isinstance(kind, Frozen):  # before anything is written
             kind.start(voters)

@@ -6,8 +6,9 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-_WINDOW_PX = 9
-_STEPS, _LAST_STEP_PX = 8, 0.02
+_WINDOW_PX = 9  # wider windows reach over edges to things at other depths, narrower ones hold too little texture
+_STEPS = 8  # the start is right to about a pixel: a few Newton steps suffice, and more mean that it diverges
+_LAST_STEP_PX = 0.02  # far below the noise of a match: going on would change nothing
 _FARTHEST_PX = 2.5  # a corner of the coarsest level in use is known this well
 
 

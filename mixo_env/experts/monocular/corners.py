@@ -19,10 +19,10 @@ BORDER_PX = 19
 """No corner nearer to the edge: descriptor (radius 13 turned, plus smoothing) and orientation patch fit inside."""
 
 CELL_PX = 32
-"""Side of a grid cell, a multiple of 8."""
+"""Side of a grid cell: a multiple of 8, since peaks are read eight bytes at a time; a place within fits 16 bits."""
 
-_PATCH_RADIUS = 15
-_TURNS = 30  # discrete orientations of the descriptor
+_PATCH_RADIUS = 15  # as in ORB: 31 pixels across, for orientation and comparisons alike
+_TURNS = 30  # discrete orientations of the descriptor: steps of 12 degrees, as in ORB
 
 
 def _comparison_pattern(radius: float = 13.0) -> NDArray[np.int8]:
@@ -31,10 +31,10 @@ def _comparison_pattern(radius: float = 13.0) -> NDArray[np.int8]:
     Both points are normal about the corner with a fifth of the patch side as standard deviation (the best of the
     patterns tried by Calonder et al., ECCV 2010), redrawn when outside the radius or nearer than 2 px to one another.
     """
-    rng = np.random.default_rng(20230)
+    rng = np.random.default_rng(20230)  # any number, but ever the same: descriptors of other patterns do not compare
     pairs: list[NDArray[np.float64]] = []
     while len(pairs) < 256:
-        pair = rng.normal(0.0, 31.0 / 5.0, 4)
+        pair = rng.normal(0.0, (2 * _PATCH_RADIUS + 1) / 5.0, 4)
         inside = max(math.hypot(pair[0], pair[1]), math.hypot(pair[2], pair[3])) <= radius
         if inside and math.hypot(pair[0] - pair[2], pair[1] - pair[3]) >= 2.0:
             pairs.append(pair)
@@ -155,7 +155,7 @@ def _cell_peaks(
     """
     height, width = image.shape
     rows, columns = -(-height // CELL_PX), -(-width // CELL_PX)
-    key = np.empty(height * width // 4 + 1, np.int32)
+    key = np.empty(height * width // 4 + 1, np.int32)  # of 2 x 2 pixels, one at most is a peak
     start = np.zeros(rows * columns + 1, np.int32)
     scores = np.zeros((CELL_PX + 2, columns * CELL_PX), np.uint8)
     peaks = np.zeros((CELL_PX, columns * CELL_PX), np.uint8)
@@ -173,7 +173,7 @@ def _cell_peaks(
                 for part in range(CELL_PX // 8):
                     word = words[y, column * (CELL_PX // 8) + part]
                     while word != 0:
-                        bit = trailing_zeros(word) & np.uint64(56)
+                        bit = trailing_zeros(word) & np.uint64(56)  # of the byte, not of its lowest bit
                         score = np.int32((word >> bit) & np.uint64(255))
                         word ^= np.uint64(score) << bit
                         key[total] = (255 - score) << 16 | y * CELL_PX + 8 * part + np.int32(bit >> np.uint64(3))
@@ -214,7 +214,7 @@ def grid_corners(image: NDArray[np.uint8], high: int, low: int, wanted: int, quo
         full, left = full + 1, left - taken
         taken = np.sum(counts > full)
     out = np.empty((quota, 3), np.int32)
-    last = np.zeros(256, np.int32)  # scores of the last round
+    last = np.zeros(256, np.int32)  # how often each score occurs in the last round
     for cell in range(len(counts)):  # move the best to the front, in order
         keys = key[start[cell] : start[cell + 1]]
         for rank in range(min(counts[cell], full + 1)):

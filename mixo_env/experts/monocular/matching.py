@@ -24,9 +24,9 @@ _X, _Y, _LEVEL, _ANGLE, _COSINE, _SINE = range(6)
 _FAR = 512  # more bits than a descriptor has
 _TURN_RAD = 0.5  # orientations of a match may differ by so much: the camera hardly rolls
 _MIN_COSINE = math.cos(_TURN_RAD)
-_SECTORS = 64  # of orientation, in which a node is sorted
+_SECTORS = 64  # of orientation, in which a node is sorted: 13 can hold a match, hardly more than its range
 _LEVELS = np.float32(1.5)  # pyramid levels of a match may differ by one: sizes change little between images
-_BLOCK = 16  # candidates tested at a time
+_BLOCK = 16  # candidates tested at a time: whole SIMD registers, and a multiple of the eight flags in a word
 _REACH = math.ceil(_TURN_RAD / (2.0 * math.pi) * _SECTORS)
 
 

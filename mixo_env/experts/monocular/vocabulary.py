@@ -26,8 +26,8 @@ GENERAL_VOCABULARY = Path(__file__).parents[1] / "data" / "vocabulary.npy"
     mixo train-vocabulary city101 --out vocabulary.npy
 """
 
-_MOST_DESCRIPTORS = 200_000
-_TAKEN = 2**31 - 1
+_MOST_DESCRIPTORS = 200_000  # for training: a sample of so many bounds time and memory
+_TAKEN = 2**31 - 1  # larger than any key: a word that was chosen is not chosen again
 
 
 @dataclass(frozen=True)

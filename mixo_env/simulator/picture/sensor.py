@@ -23,11 +23,11 @@ _SHARE = np.array([0.0] + [65536.0 / n for n in range(1, MOST_SAMPLES + 1)], np.
 _WHITE = 1.4  # exposed radiance that becomes white; highlights bend towards it
 _BEND = float32(0.35)  # how early
 _RISE = float32((1.0 + 0.35 * _WHITE - _WHITE) / _WHITE**2)  # so that the curve is 1 at _WHITE
-_EDGE = float32(1.15)  # ratio of depths at an edge
+_EDGE = float32(1.15)  # ratio of depths at an edge: a slanted surface changes less from pixel to pixel
 _FIELD = (1 << 21) - 1  # one colour of a packed radiance
 _STRETCH = 16  # pixels that are smeared as a whole: two SIMD registers of eight, or four of four
 _COARSE = 16  # motion is compared in sixteenths of a pixel
-_ALIKE = 12  # of those
+_ALIKE = 12  # of those: motions that differ by less than a pixel smear alike to the eye
 _MOVES_PX = 1.0  # less motion than this within the exposure blurs nothing
 
 
