@@ -13,7 +13,7 @@ from mixo_env.errors import PolicyError
 from mixo_env.policies import deepset, registry
 from mixo_env.policies.calibration import Calibration, Past
 from mixo_env.policies.consensus import consensus_weights
-from mixo_env.policies.deepset import corrections, heading_errors, weigh
+from mixo_env.policies.deepset import folded, heading_errors, weigh
 from mixo_env.policies.fitting import check, prepare
 from mixo_env.policies.lessons import FAILURE, broken, lessons, spoil, watch
 from mixo_env.policies.playing import collect, play
@@ -49,41 +49,50 @@ def layers(seed: int, width: int = SIGNALS + WHOLE, hidden: int = 8) -> deepset.
     return tuple((rng.normal(size=s).astype(np.float32), rng.normal(size=s[:1]).astype(np.float32)) for s in shapes)
 
 
-def test_weights_do_not_depend_on_the_order_of_the_experts() -> None:
-    rng = np.random.default_rng(1)
-    x = rng.normal(size=(7, 5, SIGNALS + WHOLE)).astype(np.float32)
-    consensus, voting = rng.dirichlet(np.ones(5), 7), rng.random((7, 5)) < 0.7
+def told(rng: np.random.Generator, batch: int, experts: int):
+    signals = rng.normal(size=(batch, experts, SIGNALS)).astype(np.float32)
+    whole = rng.normal(size=(batch, WHOLE)).astype(np.float32)
+    voting = rng.random((batch, experts)) < 0.7
     voting[:, 0] = True
-    order = rng.permutation(5)
-    weights = weigh(corrections(layers(0), x, voting), consensus, voting)
-    shuffled = weigh(corrections(layers(0), x[:, order], voting[:, order]), consensus[:, order], voting[:, order])
-    np.testing.assert_allclose(shuffled, weights[:, order], atol=1e-6)
+    return signals, whole, rng.dirichlet(np.ones(experts), batch), voting
+
+
+def test_weights_do_not_depend_on_the_order_of_the_experts() -> None:
+    signals, whole, consensus, voting = told(np.random.default_rng(1), 7, 5)
+    order = np.array([3, 0, 4, 2, 1])
+    weights = weigh(layers(0), (signals, whole, consensus), voting)
+    turned = np.ascontiguousarray(signals[:, order]), whole, np.ascontiguousarray(consensus[:, order])
+    np.testing.assert_allclose(weigh(layers(0), turned, voting[:, order].copy()), weights[:, order], atol=1e-6)
     np.testing.assert_allclose(weights.sum(axis=1), 1.0)
     assert (weights[~voting] == 0.0).all()
 
 
 def test_who_does_not_vote_changes_nothing() -> None:
-    rng = np.random.default_rng(2)
-    x = rng.normal(size=(1, 4, SIGNALS + WHOLE)).astype(np.float32)
+    signals, whole, consensus, _ = told(np.random.default_rng(2), 1, 4)
     voting = np.array([[True, True, False, True]])
-    other = x.copy()
+    other = signals.copy()
     other[0, 2] = 100.0
-    same = corrections(layers(0), other, voting)[voting]
-    np.testing.assert_array_equal(same, corrections(layers(0), x, voting)[voting])
+    same = weigh(layers(0), (other, whole, consensus), voting)
+    np.testing.assert_array_equal(same, weigh(layers(0), (signals, whole, consensus), voting))
 
 
-def test_numpy_and_torch_compute_the_same_network() -> None:
+def test_the_compiled_network_is_that_of_torch_before_it_was_folded() -> None:
     torch.manual_seed(0)
     network = deepset._network(SIGNALS + WHOLE, 8)
     for layer in network:
         torch.nn.init.normal_(layer.weight, std=0.3)
-    x = torch.randn(6, 4, SIGNALS + WHOLE)
-    voting = torch.rand(6, 4) < 0.8
-    voting[:, 1] = True
+    rng = np.random.default_rng(3)
+    signals, whole, consensus, voting = told(rng, 6, 4)
+    mean, std = rng.normal(size=SIGNALS + WHOLE), rng.uniform(0.5, 2.0, SIGNALS + WHOLE)
+    x = np.concatenate([signals, np.broadcast_to(whole[:, None], (6, 4, WHOLE))], axis=-1)
     with torch.no_grad():
-        expected = deepset._forward(network, x, voting).numpy()
+        added = deepset._forward(network, torch.tensor((x - mean) / std).float(), torch.tensor(voting)).numpy()
+    expected = np.where(voting, consensus * np.exp(added), 0.0)
     trained = tuple((layer.weight.detach().numpy(), layer.bias.detach().numpy()) for layer in network)
-    np.testing.assert_allclose(corrections(trained, x.numpy(), voting.numpy()), expected, atol=1e-5)
+    weights = weigh(
+        folded(trained, mean.astype(np.float32), std.astype(np.float32)), (signals, whole, consensus), voting
+    )
+    np.testing.assert_allclose(weights, expected / expected.sum(axis=1, keepdims=True), atol=1e-5)
 
 
 def test_an_untrained_gate_is_the_student_t_consensus(drives: Recordings) -> None:

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mixo_env.compiled import compiled
 from mixo_env.geometry import MAD_TO_SIGMA
 from mixo_env.policies.policy import Observation
 from mixo_env.policies.robust import SMALLEST_SCALE_RAD
@@ -90,11 +91,9 @@ class Calibration:
     def std(self, observation: Observation) -> FloatArray:
         """Standard deviations ``(batch, experts)`` of the coming increments [rad], never below 1e-6."""
         stated = observation["yaw_rate_std"]
-        if not stated.any():
-            return np.broadcast_to(self.std_rad, stated.shape).copy()
-        known = (stated > 0.0) & np.isfinite(self.factor)
-        scaled = np.where(known, self.factor, 1.0) * stated * observation["dt"].astype(np.float64)
-        return np.where(known, np.maximum(scaled, SMALLEST_SCALE_RAD), self.std_rad)
+        std = np.empty(stated.shape)
+        _scale(stated, observation["dt"], self.std_rad, self.factor, std)
+        return std
 
     def tensors(self) -> dict[str, NDArray[Any]]:
         """Both arrays."""
@@ -135,6 +134,17 @@ def _summed(past: Past, std: FloatArray, steps: int) -> FloatArray:
     with np.errstate(invalid="ignore", divide="ignore"):
         ratio = (error[first + steps] - error[first]) / np.sqrt(variance[first + steps] - variance[first])
     return np.where(whole.sum(axis=0) < FEWEST, alone, robust_std(np.where(whole, ratio, np.nan)))
+
+
+@compiled
+def _scale(
+    stated: NDArray[np.float32], dt: NDArray[np.float32], std_rad: FloatArray, factor: FloatArray, std: FloatArray
+) -> None:
+    for b in range(len(stated)):
+        for e in range(len(std_rad)):
+            std[b, e] = std_rad[e]
+            if stated[b, e] > 0.0 and factor[e] < np.inf:
+                std[b, e] = max(factor[e] * stated[b, e] * dt[b, 0], SMALLEST_SCALE_RAD)
 
 
 def robust_std(values: FloatArray) -> FloatArray:

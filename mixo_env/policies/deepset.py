@@ -5,18 +5,23 @@ Permutation-equivariant by construction (Zaheer et al. 2017, "Deep Sets"). Train
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
+from mixo_env.compiled import compiled
 from mixo_env.policies.lessons import Lessons
 
 if TYPE_CHECKING:
     import torch
     from torch import nn
 
+FloatArray = NDArray[np.float64]
+Matrix = NDArray[np.float32]
+Vector = NDArray[np.float32]
 Layers = tuple[tuple[NDArray[np.float32], NDArray[np.float32]], ...]
 """Weight ``(outputs, inputs)`` and bias of the four dense layers."""
 
@@ -27,32 +32,90 @@ GRADIENT_NORM = 1.0
 """Gradients are cut to it: scenes in which an expert breaks have large ones."""
 
 
-def corrections(layers: Layers, inputs: NDArray[np.float32], voting: NDArray[np.bool_]) -> NDArray[np.float32]:
-    """What is added to the logarithms of the experts' weights, ``(batch, experts)``.
+def folded(layers: Layers, mean: NDArray[np.float32], std: NDArray[np.float32]) -> Layers:
+    """The same network on inputs that are not standardised."""
+    (weight, bias), *rest = layers
+    scaled = weight / std
+    return ((scaled, bias - scaled @ mean), *rest)
+
+
+def weigh(
+    layers: Layers, told: tuple[NDArray[np.float32], NDArray[np.float32], FloatArray], voting: NDArray[np.bool_]
+) -> FloatArray:
+    """Softmax over the voters of log consensus + what the network adds, ``(batch, experts)``.
 
     Args:
-        layers: trained.
-        inputs: ``(batch, experts, width)``, standardised.
-        voting: ``(batch, experts)``.
+        layers: on inputs as they come.
+        told: signals ``(batch, experts, n)``, whole ``(batch, m)`` and consensus ``(batch, experts)``.
+        voting: ``(batch, experts)``; one that is false has no weight.
     """
-    batch, experts, width = inputs.shape
-    x = inputs.reshape(-1, width)
-    for weight, bias in layers[:2]:
-        x = np.maximum(x @ weight.T + bias, 0.0)
-    hidden = x.reshape(batch, experts, -1)
-    share = (voting / voting.sum(axis=1, keepdims=True)).astype(np.float32)
-    pooled = (share[:, None] @ hidden)[:, 0]
-    (weight, bias), (last, offset) = layers[2:]
-    own, common = np.split(weight, 2, axis=1)
-    x = np.maximum((x @ own.T).reshape(batch, experts, -1) + (pooled @ common.T + bias)[:, None], 0.0)
-    return x @ last[0] + offset
+    (first, a), (second, b), (third, c), (last, d) = layers
+    weights = np.empty(voting.shape)
+    _weigh(told, voting, (first.T.copy(), second.T.copy(), third.T.copy(), last.T.copy()), (a, b, c, d), weights)
+    return weights
 
 
-def weigh(correction: NDArray[np.floating], consensus: NDArray[np.floating], voting: NDArray[np.bool_]) -> NDArray:
-    """Softmax over the voters of log consensus + correction, ``(batch, experts)`` float64."""
-    logits = np.where(voting, np.log(np.maximum(consensus, LEAST_WEIGHT)) + correction, -np.inf)
-    weights = np.exp(logits - logits.max(axis=1, keepdims=True))
-    return weights / weights.sum(axis=1, keepdims=True)
+@compiled
+def _weigh(
+    told: tuple[NDArray[np.float32], NDArray[np.float32], FloatArray],
+    voting: NDArray[np.bool_],
+    matrices: tuple[Matrix, Matrix, Matrix, Matrix],
+    biases: tuple[Vector, Vector, Vector, Vector],
+    weights: FloatArray,
+) -> None:
+    """:func:`weigh` with matrices ``(inputs, outputs)``: sums run along the outputs, several at once."""
+    signals, whole, consensus = told
+    first, second, third, last = matrices
+    batch, experts, length = signals.shape
+    width = len(biases[0])
+    base, one = np.empty(width, np.float32), np.empty(width, np.float32)
+    pooled, hidden = np.empty(width, np.float32), np.empty((experts, width), np.float32)
+    number = np.empty(1, np.float32)
+    for k in range(batch):
+        _dense(whole[k], first[length:], biases[0], base)
+        pooled[:] = 0.0
+        count = np.float32(0.0)
+        for e in range(experts):
+            _dense(signals[k, e], first[:length], base, one)
+            _rectify(one)
+            _dense(one, second, biases[1], hidden[e])
+            _rectify(hidden[e])
+            if voting[k, e]:
+                count += np.float32(1.0)
+                for j in range(width):
+                    pooled[j] += hidden[e, j]
+        for j in range(width):
+            pooled[j] /= count
+        _dense(pooled, third[width:], biases[2], base)
+        largest = -np.inf
+        for e in range(experts):
+            _dense(hidden[e], third[:width], base, one)
+            _rectify(one)
+            _dense(one, last, biases[3], number)
+            weights[k, e] = math.log(max(consensus[k, e], LEAST_WEIGHT)) + number[0] if voting[k, e] else -np.inf
+            largest = max(largest, weights[k, e])
+        total = 0.0
+        for e in range(experts):
+            weights[k, e] = math.exp(weights[k, e] - largest)
+            total += weights[k, e]
+        for e in range(experts):
+            weights[k, e] /= total
+
+
+@compiled
+def _dense(x: Vector, weight: Matrix, bias: Vector, out: Vector) -> None:
+    """Write ``x W + b``."""
+    for j in range(len(out)):
+        out[j] = bias[j]
+    for i in range(len(x)):
+        for j in range(len(out)):
+            out[j] += x[i] * weight[i, j]
+
+
+@compiled
+def _rectify(x: Vector) -> None:
+    for j in range(len(x)):
+        x[j] = max(x[j], np.float32(0.0))
 
 
 def train(
@@ -135,7 +198,7 @@ def _network(inputs: int, hidden: int) -> list[nn.Linear]:
 
 
 def _forward(network: list[nn.Linear], x: torch.Tensor, voting: torch.Tensor) -> torch.Tensor:
-    """As :func:`corrections`, with gradients."""
+    """What is added to the logarithms of the consensus, ``(..., experts)``, with gradients."""
     import torch
 
     hidden = torch.relu(network[1](torch.relu(network[0](x))))

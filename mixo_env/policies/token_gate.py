@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixo_env.policies.calibration import Calibration, Past
-from mixo_env.policies.deepset import Layers, corrections, weigh
+from mixo_env.policies.deepset import Layers, folded, weigh
 from mixo_env.policies.lessons import lessons
 from mixo_env.policies.policy import Observation, Policy, Weights
-from mixo_env.policies.storage import finite, positive
+from mixo_env.policies.storage import finite
 from mixo_env.policies.tokens import SIGNALS, WHOLE, Memory, read, tokenise
 from mixo_env.recordings.collection import Recordings
 
@@ -70,12 +70,12 @@ class Token(Policy):
         given = lessons(training, track, self._calibration, self.spoilt, int(drawn))
         x = _inputs(given.signals, given.whole)
         told = x[given.voting & given.active[..., None]]
-        self._mean, self._std = told.mean(axis=0), np.maximum(told.std(axis=0), SMALLEST_STD)
+        mean, std = told.mean(axis=0), np.maximum(told.std(axis=0), SMALLEST_STD)
         torch.set_num_threads(1)
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(int(trained))
-            standard = (x - self._mean) / self._std
-            self._layers = train(given, standard, self.hidden, self.learning_rate, self.updates, self.batch)
+            layers = train(given, (x - mean) / std, self.hidden, self.learning_rate, self.updates, self.batch)
+        self._layers = folded(layers, mean, std)
 
     def reset(self, batch: int) -> None:
         """Forget how the experts did."""
@@ -84,36 +84,33 @@ class Token(Policy):
     def act(self, observation: Observation) -> Weights:
         """Rows ``(batch, experts)`` that sum to one; who does not vote has none."""
         seen = read(observation, self._calibration)
-        tokens = tokenise(seen, self._memory)
-        x = ((_inputs(tokens.signals, tokens.whole) - self._mean) / self._std).astype(np.float32, copy=False)
-        return weigh(corrections(self._layers, x, seen.voting), tokens.consensus, seen.voting)
+        return weigh(self._layers, tokenise(seen, self._memory), seen.voting)
 
     def settings(self) -> dict[str, Any]:
         """Width and training."""
         return {name: getattr(self, name) for name in ("hidden", "learning_rate", "updates", "batch", "spoilt")}
 
     def tensors(self) -> dict[str, NDArray[Any]]:
-        """Calibration, standardisation and network."""
+        """Calibration and network."""
         weights = {f"weight.{i}": weight for i, (weight, _) in enumerate(self._layers)}
         biases = {f"bias.{i}": bias for i, (_, bias) in enumerate(self._layers)}
-        return {**self._calibration.tensors(), "mean": self._mean, "std": self._std, **weights, **biases}
+        return {**self._calibration.tensors(), **weights, **biases}
 
     def shapes(self, inputs: int) -> dict[str, tuple[int, ...]]:
-        """Calibration, standardisation and the four dense layers."""
+        """Calibration and the four dense layers."""
         width, h = SIGNALS + WHOLE, self.hidden
         sizes = ((h, width), (h, h), (h, 2 * h), (1, h))
         layers = {f"weight.{i}": size for i, size in enumerate(sizes)}
         biases = {f"bias.{i}": size[:1] for i, size in enumerate(sizes)}
-        return {**Calibration.shapes(len(self.experts)), "mean": (width,), "std": (width,), **layers, **biases}
+        return {**Calibration.shapes(len(self.experts)), **layers, **biases}
 
     def restore(self, tensors: Mapping[str, NDArray[Any]]) -> None:
-        """Take back calibration, standardisation and network."""
+        """Take back calibration and network."""
         calibration = Calibration.restore(tensors)
         self._know(self.experts, calibration)
         self.start(self.experts)
         learned = {name: value for name, value in tensors.items() if name not in calibration.tensors()}
         values = {name: finite(name, value).astype(np.float32) for name, value in learned.items()}
-        self._mean, self._std = values["mean"], positive("std", values["std"])
         self._layers: Layers = tuple((values[f"weight.{i}"], values[f"bias.{i}"]) for i in range(4))
 
     def _know(self, experts: Sequence[str], calibration: Calibration) -> None:
