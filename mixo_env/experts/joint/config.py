@@ -41,7 +41,7 @@ class JointConfig:
     own_yaw_std_rad: float = 1.7e-5
     own_yaw_share: float = 1.0
     change_std_rad: float = 5e-5
-    change_share: float = 1.4
+    change_share: float = 6.0
     freedom: float = 3.0
     misplaced_rad: float = 0.0175
     misplaced_steps: int = 12

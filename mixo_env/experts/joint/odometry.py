@@ -17,7 +17,7 @@ from mixo_env.errors import DatasetError, unknown
 from mixo_env.experts.expert import State
 from mixo_env.experts.joint.config import JointConfig
 from mixo_env.experts.joint.memory import Mountings, Rates
-from mixo_env.experts.joint.problem import REACH, Moment, Problem, halved
+from mixo_env.experts.joint.problem import REACH, Moment, Problem, thinned
 from mixo_env.experts.joint.sight import JointStep, Sight
 from mixo_env.experts.joint.solve import BODY, OWN, Solved
 from mixo_env.experts.monocular.camera import MountedCamera
@@ -81,7 +81,7 @@ class JointOdometry:
         if not used:
             return self._report(None, {}, math.nan)
         moment = Moment((-opening_s, 0.0, gap_s), last_us, used)
-        alone = Problem(self.config, self._cameras, halved(moment), Rates(), Mountings(used, self.config))
+        alone = Problem(self.config, self._cameras, thinned(moment), Rates(), Mountings(used, self.config))
         stateless = alone.solve()
         two_frame = alone.increment(stateless)[0] if self._good(alone, stateless) else math.nan
         problem = Problem(self.config, self._cameras, moment, self._rates, self._mountings)
