@@ -15,7 +15,7 @@ from mixo_env.experts.monocular.motion import MotionPrior, estimate_motion
 from mixo_env.experts.monocular.odometry import MonocularOdometry
 from mixo_env.recordings.joint import Watched
 from tests.corridor import HEIGHT, WIDTH, calibration
-from tests.joint_rig import PLACES, RIGS, STEP_US, drive, mounted, play, rig
+from tests.joint_rig import PLACES, RIGS, STEP_US, drive, look, mounted, play, rig
 
 PAPER = RIGS["the paper's"]
 STEPS = 40
@@ -120,3 +120,19 @@ def test_three_images_steady_the_increments_and_a_captured_camera_is_not_believe
     fooled = np.nanstd(play(rig(PAPER), told(wrong=True))[1])
     assert steadied < 0.75 * plain
     assert fooled < 1.2 * steadied
+
+
+def test_a_sure_camera_that_is_captured_is_outvoted_by_the_others() -> None:
+    """The car all but stands; for a second a vehicle fills one view, and three others contradict the turn it tells."""
+    rng = np.random.default_rng(26)
+    steps = []
+    for k, (time_us, sights, yaw) in enumerate(drive(26, PAPER, STEPS, speed=0.3, rate_deg=0.0, movers=False)):
+        if 20 < k <= 32:
+            seen = sights["back"]
+            motion = (yaw + 0.004, seen.distance_m, 0.0, 0.0)
+            sure = look(rng, "back", (seen.start_us, seen.end_us), motion, points=1500, outliers=0.0, movers=False)
+            sights["back"] = sure
+        steps.append((time_us, sights, yaw))
+    said, error = play(rig(PAPER), iter(steps))
+    assert abs(np.rad2deg(np.nansum(error))) < 0.1
+    assert all("back" not in step.outlier_share for step in said[21:33])

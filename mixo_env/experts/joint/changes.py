@@ -53,5 +53,5 @@ def with_changes(
         error = (changes.yaw_rad - changes.weights @ rates) / std
         weighted = changes.weights.T * ((freedom + 1.0) / (freedom + error**2) / std**2)
         total = information + weighted @ changes.weights
-        rates = np.linalg.solve(total, information @ mean + weighted @ changes.yaw_rad)
-    return rates, np.linalg.inv(total)
+        rates = np.asarray(np.linalg.solve(total, information @ mean + weighted @ changes.yaw_rad), np.float64)
+    return rates, np.asarray(np.linalg.inv(total), np.float64)

@@ -40,6 +40,9 @@ REACH = 1.6
 _CONTRADICTION_STD = 3.0
 """A camera whose own yaw error is larger has no say at all."""
 
+_DOUBT_STD = 2.0
+"""The same where the turn is none that was expected: then the solution itself is in doubt."""
+
 _INLIER_STD = 3.0
 """As in monocular/motion.py."""
 
@@ -193,17 +196,34 @@ class Problem:
         return np.abs(solved.residual) < _INLIER_STD * noise
 
     def accused(self, solved: Solved) -> frozenset[str]:
-        """Cameras that contradict the solution, unless all do: a vehicle has captured them, or they see no motion."""
+        """Cameras that contradict the solution, unless all do: a vehicle has captured them, or they see no motion.
+
+        One camera may be so sure, a creeping car's for instance, that the solution is its own. Where most of the others
+        contradict it, or half of them do and the turn is none that was expected, it is the one that is captured.
+        """
         least, share, _ = self._own
-        agree, start, found = self.agree(solved), self.views.start, set()
+        agree, start = self.agree(solved), self.views.start
+        unexpected = self._unexpected(solved)
+        limit = _DOUBT_STD if unexpected else _CONTRADICTION_STD
+        used, against, unsupported = frozenset(self.moment.used), set(), set()
         for j, name in enumerate(self.moment.used):
-            error = abs(float(solved.unknowns[BODY + OWN * j])) / math.hypot(least, share * float(solved.formal[j]))
-            if (
-                error > _CONTRADICTION_STD
-                or float(np.mean(agree[start[j] : start[j + 1]])) < self._config.least_support
-            ):
-                found.add(name)
-        return frozenset(found) if len(found) < len(self.moment.used) else frozenset()
+            std = math.hypot(least, share * float(solved.formal[j]))
+            if abs(float(solved.unknowns[BODY + OWN * j])) > limit * std:
+                against.add(name)
+            elif float(np.mean(agree[start[j] : start[j + 1]])) < self._config.least_support:
+                unsupported.add(name)
+        half = 0.5 * (len(used) - len(unsupported))
+        with_it = used - against - unsupported
+        if with_it and (len(against) > half or (len(against) == half > 0 and unexpected)):
+            return with_it
+        found = frozenset(against | unsupported)
+        return found if found != used else frozenset()
+
+    def _unexpected(self, solved: Solved) -> bool:
+        """The turn of the step is far from what earlier steps and three images let expect."""
+        now = self._now()
+        variance = now @ np.linalg.solve(self._information[:3, :3], now)
+        return bool(abs(now @ (solved.unknowns[:3] - self._mean[:3])) > _CONTRADICTION_STD * math.sqrt(variance))
 
     def increment(self, solved: Solved) -> tuple[float, float]:
         """Yaw increment of the step with what it corrects of earlier ones, and its standard deviation [rad]."""
