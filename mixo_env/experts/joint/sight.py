@@ -14,6 +14,21 @@ from mixo_env.experts.monocular.pair import Pair
 
 
 @dataclass(frozen=True)
+class Change:
+    """How the yaw increment of two images differs from that of the two before, from points seen in all three.
+
+    Attributes:
+        before_us: when the first of the three was taken.
+        yaw_rad: the second increment less the first.
+        std_rad: its standard deviation, were the errors of the points independent.
+    """
+
+    before_us: int
+    yaw_rad: float
+    std_rad: float
+
+
+@dataclass(frozen=True)
 class Sight:
     """Two images of one camera, compared: no yaw-rate sensor and no pose is in it.
 
@@ -24,6 +39,7 @@ class Sight:
         matches: number of matched features.
         first, second: ``(n, 2)`` a sample of them on the image planes.
         yaw_rad: yaw increment that the two images alone tell; NaN where they do not.
+        change: of that increment, from three images; ``None`` where they do not tell.
     """
 
     start_us: int
@@ -34,9 +50,10 @@ class Sight:
     first: NDArray[np.float64]
     second: NDArray[np.float64]
     yaw_rad: float
+    change: Change | None = None
 
 
-def sight(pair: Pair, start_us: int, end_us: int, most: int) -> Sight:
+def sight(pair: Pair, start_us: int, end_us: int, most: int, change: Change | None = None) -> Sight:
     """The part of a pair that a joint step needs.
 
     Args:
@@ -44,6 +61,7 @@ def sight(pair: Pair, start_us: int, end_us: int, most: int) -> Sight:
         start_us: when its first image was taken.
         end_us: when its second image was taken.
         most: matches to keep, evenly picked.
+        change: against the pair before.
     """
     picked = slice(None, None, max(1, -(-len(pair.first) // most)))
     yaw = math.nan if pair.motion is None else pair.motion.yaw_rad
@@ -56,6 +74,7 @@ def sight(pair: Pair, start_us: int, end_us: int, most: int) -> Sight:
         pair.first[picked].copy(),
         pair.second[picked].copy(),
         yaw,
+        change,
     )
 
 
