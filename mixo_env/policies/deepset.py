@@ -35,8 +35,8 @@ GRADIENT_NORM = 1.0
 def folded(layers: Layers, mean: NDArray[np.float32], std: NDArray[np.float32]) -> Layers:
     """The same network on inputs that are not standardised."""
     (weight, bias), *rest = layers
-    scaled = weight / std
-    return ((scaled, bias - scaled @ mean), *rest)
+    scaled = (weight / std).astype(np.float32)
+    return ((scaled, (bias - scaled @ mean).astype(np.float32)), *rest)
 
 
 def weigh(
