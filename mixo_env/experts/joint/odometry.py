@@ -147,6 +147,7 @@ class JointOdometry:
                 inliers += round(inside * seen.matches)
             if good:
                 yaw, std = problem.increment(solved)
+                yaw += problem.lean(solved)
         if good:
             self._good_steps += 1
             started = self._state is State.TRACKING or self._good_steps >= self.config.initial_steps
