@@ -16,7 +16,7 @@ FloatArray = NDArray[np.float64]
 _ITERATIONS = 10
 
 
-def lean(deviation_rad: FloatArray, std_rad: FloatArray, freedom: float) -> float:
+def lean(deviation_rad: FloatArray, std_rad: FloatArray, freedom: float) -> tuple[float, float]:
     """Student-t mean of deviations from the rig, in which the rig has the weight of all cameras that agree with it.
 
     Args:
@@ -25,12 +25,15 @@ def lean(deviation_rad: FloatArray, std_rad: FloatArray, freedom: float) -> floa
         freedom: degrees of freedom of the errors.
 
     Returns:
-        What is to be added to the increment of the rig [rad]; 0 without cameras.
+        What is to be added to the increment of the rig [rad], and the share of the weight that the rig keeps; 0 and 1
+        without cameras.
     """
     if not len(deviation_rad):
-        return 0.0
-    precision, mean = std_rad**-2.0, 0.0
+        return 0.0, 1.0
+    precision, mean, share = std_rad**-2.0, 0.0, 1.0
+    rig = float(precision.sum())
     for _ in range(_ITERATIONS):
         weight = precision * (freedom + 1.0) / (freedom + ((deviation_rad - mean) / std_rad) ** 2)
-        mean = float(weight @ deviation_rad / (weight.sum() + precision.sum()))
-    return mean
+        total = rig + float(weight.sum())
+        mean, share = float(weight @ deviation_rad) / total, rig / total
+    return mean, share

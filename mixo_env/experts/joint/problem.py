@@ -238,8 +238,8 @@ class Problem:
         variance += max(0.0, float(gain @ (self._knot_covariance - covariance) @ gain))
         return yaw, math.sqrt(variance) if variance > 0.0 else math.nan
 
-    def lean(self, solved: Solved) -> float:
-        """What the cameras' own odometries add to the increment [rad]."""
+    def lean(self, solved: Solved) -> tuple[float, float]:
+        """What the cameras' own odometries add to the increment [rad], and the share that the rig keeps."""
         gain, used = self._gain(), self.moment.used.values()
         corrected = float(gain @ (solved.unknowns[:3] - self._expected))
         seen = self.views.local[:, 0, :3] @ solved.unknowns[:3] + corrected
