@@ -1,9 +1,9 @@
 """How far the increment of the rig leans towards what the cameras' own odometries have reported.
 
-The estimate of the rig and the headings of the single cameras come from the same matches, but err differently: one holds
-all cameras to one motion of the body, the others remember three images and a course of their own, and use more matches.
-Half of each is better than either. The cameras have a common say by their standard deviations, with heavy tails: one
-that a vehicle has captured is hardly heard.
+The estimate of the rig and the headings of the single cameras come from the same matches, but err differently: one
+holds all cameras to one motion of the body, the others remember three images and a course of their own, and use more
+matches. Half of each is better than either. The cameras have a common say by their standard deviations, with heavy
+tails: one that a vehicle has captured is hardly heard.
 """
 
 from __future__ import annotations
