@@ -244,7 +244,8 @@ class Problem:
         corrected = float(gain @ (solved.unknowns[:3] - self._expected))
         seen = self.views.local[:, 0, :3] @ solved.unknowns[:3] + corrected
         told = [(one.told.yaw_rad - yaw, one.told.std_rad) for one, yaw in zip(used, seen, strict=True) if one.told]
-        return lean(*np.reshape(told, (-1, 2)).T, self._config.freedom)
+        deviation, std = np.reshape(told, (-1, 2)).T
+        return lean(deviation, std, self._config.freedom)
 
     def with_heading(self, solved: Solved) -> FloatArray:
         """Covariance ``(2,)`` of the rates at the last two knots with the heading that the increments add up to."""
