@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from mixo_env.experts.expert import State
+from mixo_env.experts.joint.headings import lean
 from mixo_env.experts.joint.odometry import JointOdometry
-from mixo_env.experts.joint.sight import Change, Sight
+from mixo_env.experts.joint.sight import Change, Sight, Told
 from mixo_env.experts.monocular.motion import MotionPrior, estimate_motion
 from mixo_env.experts.monocular.odometry import MonocularOdometry
 from mixo_env.recordings.joint import Watched
@@ -136,3 +137,24 @@ def test_a_sure_camera_that_is_captured_is_outvoted_by_the_others() -> None:
     said, error = play(rig(PAPER), iter(steps))
     assert abs(np.rad2deg(np.nansum(error))) < 0.1
     assert all("back" not in step.outlier_share for step in said[21:33])
+
+
+def test_the_rig_meets_cameras_that_agree_half_way_and_hardly_hears_one_that_is_captured() -> None:
+    std = np.full(4, 2e-4)
+    assert lean(np.zeros(0), np.zeros(0), 3.0) == (0.0, 1.0)
+    alike, share = lean(np.full(4, 1e-4), std, 3.0)
+    assert 0.45e-4 < alike < 0.6e-4
+    assert 0.4 < share < 0.5
+    captured, _ = lean(np.array([4e-3, 0.0, 0.0, 0.0]), std, 3.0)
+    assert 0.0 < captured < 0.02 * 4e-3
+
+
+def test_what_the_cameras_report_takes_noise_off_the_increments() -> None:
+    rng = np.random.default_rng(26)
+
+    def reported() -> Iterator[tuple[int, dict[str, Sight], float]]:
+        for time_us, sights, yaw in drive(26, PAPER, STEPS, rate_deg=0.0):
+            yield time_us, {n: replace(s, told=Told(rng.normal(0.0, 5e-5), 5e-5)) for n, s in sights.items()}, yaw
+
+    plain = np.nanstd(play(rig(PAPER), drive(26, PAPER, STEPS, rate_deg=0.0))[1])
+    assert np.nanstd(play(rig(PAPER), reported())[1]) < 0.75 * plain

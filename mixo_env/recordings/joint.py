@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixo_env.errors import ConfigurationError
-from mixo_env.experts.expert import CameraExpert, CameraStep
+from mixo_env.experts.expert import CameraExpert, CameraStep, State
 from mixo_env.experts.joint.config import JointConfig
 from mixo_env.experts.joint.odometry import JointOdometry
-from mixo_env.experts.joint.sight import Change, Sight, sight
+from mixo_env.experts.joint.sight import Change, Sight, Told, sight
 from mixo_env.experts.monocular.odometry import MonocularOdometry
 from mixo_env.nuscenes.selections import CAMERA_OFFSET_US
 from mixo_env.recordings.clock import Rounds
@@ -65,9 +65,10 @@ class Watched:
         step = self._odometry.process(image, timestamp_us, distance_m)
         before_us, last_us = self._times_us
         if self._odometry.pair is not None:
-            told = self._odometry.change
-            change = None if told is None else Change(before_us, *told)
-            self.sights[timestamp_us] = sight(self._odometry.pair, last_us, timestamp_us, self._most, change)
+            change = None if self._odometry.change is None else Change(before_us, *self._odometry.change)
+            told = Told(step.yaw_increment_rad, step.yaw_std_rad) if step.state is State.TRACKING else None
+            times_us = (last_us, timestamp_us)
+            self.sights[timestamp_us] = sight(self._odometry.pair, times_us, self._most, change, told)
         self._times_us = (last_us, timestamp_us)
         return step
 

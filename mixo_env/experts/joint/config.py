@@ -36,12 +36,12 @@ class JointConfig:
     min_matches: int = 50
     yaw_acceleration_radps2: float = 0.2
     tilt_rate_std_radps: float = 0.036
-    slip_std: float = 0.006
+    slip_std: float = 0.004
     mounting_std: float = 0.003
     own_yaw_std_rad: float = 1.7e-5
     own_yaw_share: float = 1.0
     change_std_rad: float = 5e-5
-    change_share: float = 6.0
+    change_share: float = 10.0
     freedom: float = 3.0
     misplaced_rad: float = 0.0175
     misplaced_steps: int = 12

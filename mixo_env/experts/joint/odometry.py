@@ -147,6 +147,8 @@ class JointOdometry:
                 inliers += round(inside * seen.matches)
             if good:
                 yaw, std = problem.increment(solved)
+                more, share_of_rig = problem.lean(solved)
+                yaw, std = yaw + more, std * math.sqrt(share_of_rig)
         if good:
             self._good_steps += 1
             started = self._state is State.TRACKING or self._good_steps >= self.config.initial_steps

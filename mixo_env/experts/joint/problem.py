@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from mixo_env.experts.joint.changes import Changes, with_changes
 from mixo_env.experts.joint.config import JointConfig
+from mixo_env.experts.joint.headings import lean
 from mixo_env.experts.joint.knots import knot_covariance, window_weights
 from mixo_env.experts.joint.memory import Mountings, Rates
 from mixo_env.experts.joint.sight import Sight
@@ -97,6 +98,7 @@ class Problem:
         mountings: Mountings,
     ) -> None:
         self.moment, self._config, self._rates, self._mountings = moment, config, rates, mountings
+        self._positions = {name: cameras[name].position_m for name in moment.used}
         self._own = (config.own_yaw_std_rad, config.own_yaw_share, config.freedom)
         count = BODY + OWN * len(moment.used)
         self._mean, self._information = np.zeros(count), np.zeros((count, count))
@@ -181,6 +183,8 @@ class Problem:
             local[j, 0, own] = 1.0
             local[j, 1, 3] = local[j, 2, 4] = gap_s
             local[j, 3, [5, slip]] = local[j, 4, [6, heave]] = distance
+            x, y, z = gap_s * self._positions[name]  # a tilt of the body also swings the camera
+            local[j, 3, 4], local[j, 4, 4], local[j, 4, 3] = -z, y, -x
             local[j, 5, depth] = 1.0
             offset = distance**2 * (body_std[2:] ** 2 + variance)
             alone[j] = [1e-6, *(gap_s * body_std[:2]) ** -2.0, *(1.0 / offset), _SPREAD_DEPTH**-2]
@@ -233,6 +237,15 @@ class Problem:
         variance = float(now @ covariance @ now)
         variance += max(0.0, float(gain @ (self._knot_covariance - covariance) @ gain))
         return yaw, math.sqrt(variance) if variance > 0.0 else math.nan
+
+    def lean(self, solved: Solved) -> tuple[float, float]:
+        """What the cameras' own odometries add to the increment [rad], and the share that the rig keeps."""
+        gain, used = self._gain(), self.moment.used.values()
+        corrected = float(gain @ (solved.unknowns[:3] - self._expected))
+        seen = self.views.local[:, 0, :3] @ solved.unknowns[:3] + corrected
+        told = [(one.told.yaw_rad - yaw, one.told.std_rad) for one, yaw in zip(used, seen, strict=True) if one.told]
+        deviation, std = np.reshape(told, (-1, 2)).T
+        return lean(deviation, std, self._config.freedom)
 
     def with_heading(self, solved: Solved) -> FloatArray:
         """Covariance ``(2,)`` of the rates at the last two knots with the heading that the increments add up to."""
