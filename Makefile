@@ -59,7 +59,7 @@ format: .venv/installed
 	touch $@
 
 .venv/integrations: .venv/installed
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev,cluster,integrations,torchrl]'
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev,cluster,integrations,torchrl,learned]'
 	touch $@
 
 clean:  ## everything made here, machine code kept between runs included

