@@ -110,8 +110,8 @@ class Frozen(Policy):
         return self.policy.weighted(voters)
 
     def start(self, voters: Any) -> None:
-        """Keep the experts it was fitted for; one that learned nothing takes those that vote."""
-        if not self.policy.experts:
+        """Keep the experts it was fitted for; one that learned nothing, or of no expert, takes those that vote."""
+        if self.policy.any_experts or not self.policy.experts:
             self.policy.start(voters)
         self.experts = self.policy.experts
 

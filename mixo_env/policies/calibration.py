@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -9,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mixo_env.compiled import compiled
 from mixo_env.geometry import MAD_TO_SIGMA
 from mixo_env.policies.policy import Observation
 from mixo_env.policies.robust import SMALLEST_SCALE_RAD
@@ -16,6 +18,12 @@ from mixo_env.policies.storage import LARGEST
 from mixo_env.recordings.collection import Recordings
 
 FloatArray = NDArray[np.float64]
+
+WINDOW_S = 2.0
+"""Long enough for the noise of poses to fade, short enough for many windows without a loss."""
+
+FEWEST = 30
+"""Windows that tell more than single steps do."""
 
 
 @dataclass(frozen=True)
@@ -64,22 +72,28 @@ class Calibration:
 
     @classmethod
     def fit(cls, past: Past) -> Calibration:
-        """1.4826 x the median absolute error, and the same of errors over stated standard deviations."""
-        with np.errstate(invalid="ignore"):
-            ratio = past.error_rad / past.stated_rad
+        """1.4826 x the median size of summed errors over what independent ones would sum to.
+
+        Sums over ``WINDOW_S``: one step tells mostly the noise of the true poses, which cancels from step to step,
+        while the errors of an expert lean to one side for a while; and heading is made of sums.
+        """
+        return cls.over(past, max(1, round(WINDOW_S / float(np.nanmedian(past.dt_s)))))
+
+    @classmethod
+    def over(cls, past: Past, steps: int) -> Calibration:
+        """The same of sums over ``steps`` steps; 1 for a policy that has a model of what stays."""
+        constant = np.where(np.isfinite(past.error_rad), 1.0, np.nan)
         return cls(
-            np.maximum(robust_std(past.error_rad), SMALLEST_SCALE_RAD),
-            np.maximum(robust_std(ratio), SMALLEST_SCALE_RAD),
+            np.maximum(_summed(past, constant, steps), SMALLEST_SCALE_RAD),
+            np.maximum(_summed(past, past.stated_rad, steps), SMALLEST_SCALE_RAD),
         )
 
     def std(self, observation: Observation) -> FloatArray:
         """Standard deviations ``(batch, experts)`` of the coming increments [rad], never below 1e-6."""
         stated = observation["yaw_rate_std"]
-        if not stated.any():
-            return np.broadcast_to(self.std_rad, stated.shape).copy()
-        known = (stated > 0.0) & np.isfinite(self.factor)
-        scaled = np.where(known, self.factor, 1.0) * stated * observation["dt"].astype(np.float64)
-        return np.where(known, np.maximum(scaled, SMALLEST_SCALE_RAD), self.std_rad)
+        std = np.empty(stated.shape)
+        _scale(stated, observation["dt"], self.std_rad, self.factor, std)
+        return std
 
     def tensors(self) -> dict[str, NDArray[Any]]:
         """Both arrays."""
@@ -102,6 +116,35 @@ class Calibration:
             if np.any(values < SMALLEST_SCALE_RAD) or np.any(values[np.isfinite(values)] > LARGEST):
                 raise ValueError(f"expected {name} from {SMALLEST_SCALE_RAD:g} to {LARGEST:g}, or infinite")
         return cls(tensors["std_rad"].astype(np.float64), tensors["factor"].astype(np.float64))
+
+
+def _summed(past: Past, std: FloatArray, steps: int) -> FloatArray:
+    """Size ``(experts,)`` of errors summed over ``steps`` steps, over the root of their summed variances.
+
+    An expert with fewer than ``FEWEST`` such windows is judged by single steps.
+    """
+    with np.errstate(invalid="ignore"):
+        alone = robust_std(past.error_rad / std)
+    told = np.isfinite(past.error_rad) & np.isfinite(std)
+    size = np.where(told, past.error_rad, 0.0), np.where(told, std, 0.0) ** 2, 1.0 * told
+    error, variance, count = (np.concatenate([np.zeros((1, x.shape[1])), np.cumsum(x, axis=0)]) for x in size)
+    starts = [np.arange(a + 1, b - steps + 1) for a, b in itertools.pairwise(past.offsets)]  # row 0 is no step
+    first = np.concatenate([np.zeros(0, np.int64), *starts])
+    whole = count[first + steps] - count[first] == steps
+    with np.errstate(invalid="ignore", divide="ignore"):
+        ratio = (error[first + steps] - error[first]) / np.sqrt(variance[first + steps] - variance[first])
+    return np.where(whole.sum(axis=0) < FEWEST, alone, robust_std(np.where(whole, ratio, np.nan)))
+
+
+@compiled
+def _scale(
+    stated: NDArray[np.float32], dt: NDArray[np.float32], std_rad: FloatArray, factor: FloatArray, std: FloatArray
+) -> None:
+    for b in range(len(stated)):
+        for e in range(len(std_rad)):
+            std[b, e] = std_rad[e]
+            if stated[b, e] > 0.0 and factor[e] < np.inf:
+                std[b, e] = max(factor[e] * stated[b, e] * dt[b, 0], SMALLEST_SCALE_RAD)
 
 
 def robust_std(values: FloatArray) -> FloatArray:

@@ -54,7 +54,7 @@ class Drift:
         constant = _median(past.error_rad[moving] / past.dt_s[moving, None])
         centred = replace(past, error_rad=past.error_rad - constant * past.dt_s[:, None])
         turning = rate >= np.nanquantile(rate, TURNING)
-        calibration = Calibration.fit(centred)
+        calibration = Calibration.over(centred, 1)
         step_rad, share, memory = _slow_part(centred)
         drift = cls(
             constant_radps=constant,

@@ -32,6 +32,7 @@ class Policy(abc.ABC):
         privileged: whether the policy reads ground truth or the future; its name then says so too. Only a privileged
             policy finds ``truth_yaw_rate`` in its observation.
         learns: whether it is fitted on training scenes, anew for every fold. :meth:`fit` of others is never called.
+        any_experts: what it learned names no expert, so it plays with others than those it was fitted with.
         lag: steps of the future that it sees; where it is not 0 the policy is privileged, and its name says so.
         expensive: too slow to fit for every fold; it is then tested on the last one only, and compared there.
         experts: those it weights, in the order of the weights; set by :meth:`start` or :meth:`load`.
@@ -42,6 +43,7 @@ class Policy(abc.ABC):
     name: str
     privileged: ClassVar[bool] = False
     learns: ClassVar[bool] = False
+    any_experts: ClassVar[bool] = False
     lag: ClassVar[int] = 0
     expensive: ClassVar[bool] = False
     experts: tuple[str, ...] = ()

@@ -24,6 +24,7 @@ from mixo_env.policies.simplex import LinearSimplex
 from mixo_env.policies.single import Single
 from mixo_env.policies.smoother import Smoother
 from mixo_env.policies.softmin import Softmin
+from mixo_env.policies.token_gate import Token
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.variants import variants
 
@@ -32,7 +33,7 @@ POLICIES: dict[str, type[Policy]] = {
     for policy in (
         *(HighestMatch, Mean, Median, Linear, LinearSimplex),
         *(InverseVariance, CovarianceIntersection, Huber, StudentT, Softmin, FixedShare, BiasFilter),
-        *(LinearGate, Mixo, PPO),
+        *(LinearGate, Mixo, Token, PPO),
         *(Smoother, MulticameraGT, OracleAll, OracleHull),
     )
 }

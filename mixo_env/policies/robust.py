@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mixo_env.compiled import compiled
 from mixo_env.envs.observation import PAPER
 from mixo_env.geometry import MAD_TO_SIGMA
 from mixo_env.policies.policy import Observation, Policy, Weights
@@ -39,11 +40,24 @@ def believable(observation: Observation) -> NDArray[np.bool_]:
     No car turns by half a turn a second. Such a rate was clipped, and a weight would multiply the wild increment behind
     it. Where nothing else was said, it counts after all.
     """
-    voting = votes(observation)
-    inside = voting & (np.abs(observation["yaw_rates"]) < RATE_BOUND)
-    if np.array_equal(inside, voting):
-        return voting
-    return np.where(inside.any(axis=1, keepdims=True), inside, voting)
+    rates = observation["yaw_rates"]
+    counted = np.empty(rates.shape, np.bool_)
+    _believe(rates, observation["available"], counted)
+    return counted
+
+
+@compiled
+def _believe(rates: NDArray[np.float32], available: NDArray[np.float32], counted: NDArray[np.bool_]) -> None:
+    for b in range(len(rates)):
+        somebody = inside = False
+        for e in range(rates.shape[1]):
+            somebody |= available[b, e] > 0.0
+        for e in range(rates.shape[1]):
+            counted[b, e] = (available[b, e] > 0.0 or not somebody) and abs(rates[b, e]) < RATE_BOUND
+            inside |= counted[b, e]
+        if not inside:
+            for e in range(rates.shape[1]):
+                counted[b, e] = available[b, e] > 0.0 or not somebody
 
 
 def median_weights(values: NDArray[np.floating[Any]], voting: NDArray[np.bool_]) -> Weights:

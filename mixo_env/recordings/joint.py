@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixo_env.errors import ConfigurationError
-from mixo_env.experts.expert import CameraExpert, CameraStep
+from mixo_env.experts.expert import CameraExpert, CameraStep, State
 from mixo_env.experts.joint.config import JointConfig
 from mixo_env.experts.joint.odometry import JointOdometry
-from mixo_env.experts.joint.sight import Sight, sight
+from mixo_env.experts.joint.sight import Change, Sight, Told, sight
 from mixo_env.experts.monocular.odometry import MonocularOdometry
 from mixo_env.nuscenes.selections import CAMERA_OFFSET_US
 from mixo_env.recordings.clock import Rounds
@@ -52,7 +52,8 @@ class Watched:
         self.camera = odometry.camera
         self.sights: dict[int, Sight] = {}
         """By the time of the later image [us]."""
-        self._odometry, self._most, self._last_us = odometry, most, 0
+        self._odometry, self._most = odometry, most
+        self._times_us = (0, 0)
 
     @property
     def halvings(self) -> int:
@@ -62,9 +63,13 @@ class Watched:
     def process(self, image: NDArray[np.uint8], timestamp_us: int, distance_m: float) -> CameraStep:
         """As the odometry."""
         step = self._odometry.process(image, timestamp_us, distance_m)
+        before_us, last_us = self._times_us
         if self._odometry.pair is not None:
-            self.sights[timestamp_us] = sight(self._odometry.pair, self._last_us, timestamp_us, self._most)
-        self._last_us = timestamp_us
+            change = None if self._odometry.change is None else Change(before_us, *self._odometry.change)
+            told = Told(step.yaw_increment_rad, step.yaw_std_rad) if step.state is State.TRACKING else None
+            times_us = (last_us, timestamp_us)
+            self.sights[timestamp_us] = sight(self._odometry.pair, times_us, self._most, change, told)
+        self._times_us = (last_us, timestamp_us)
         return step
 
 

@@ -23,6 +23,7 @@ ROWS = (
     "SOFTMIN",
     "FIXED SHARE",
     "BIAS FILTER",
+    "TOKEN",
     "LINEAR GATE",
     "MIXO",
     "PPO",

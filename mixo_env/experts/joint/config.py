@@ -21,7 +21,9 @@ class JointConfig:
         mounting_std: of each camera's own constant offset from that: error of its written mounting [rad].
         own_yaw_std_rad: least standard deviation of a camera's own yaw error in one step.
         own_yaw_share: the same as a share of what its matches alone would leave uncertain: views err in proportion.
-        freedom: of the Student-t distribution of that error; few degrees let a captured camera lose its say.
+        change_std_rad: least standard deviation of what three images say of the change of a turn.
+        change_share: the same as a share of what independent errors of the points would leave.
+        freedom: of the Student-t distribution of these errors; few degrees let a captured camera lose its say.
         misplaced_rad: a camera is left out once its offset is known to exceed this.
         misplaced_steps: for so many steps in a row.
         least_support: a solution with a smaller share of agreeing matches is none.
@@ -34,10 +36,12 @@ class JointConfig:
     min_matches: int = 50
     yaw_acceleration_radps2: float = 0.2
     tilt_rate_std_radps: float = 0.036
-    slip_std: float = 0.006
+    slip_std: float = 0.004
     mounting_std: float = 0.003
     own_yaw_std_rad: float = 1.7e-5
     own_yaw_share: float = 1.0
+    change_std_rad: float = 5e-5
+    change_share: float = 10.0
     freedom: float = 3.0
     misplaced_rad: float = 0.0175
     misplaced_steps: int = 12

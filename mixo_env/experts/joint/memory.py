@@ -50,7 +50,11 @@ class Mountings:
 
 
 class Rates:
-    """The yaw rate at the last two knots and its covariance; unknown before the first step and after a loss."""
+    """The yaw rate at the last two knots and the heading reported so far; unknown before the first step and at a loss.
+
+    The sum of the reported increments has an error that goes along with that of the rates. What a later step finds out
+    about the rates therefore tells something about the heading, and is made up for (as in monocular/heading.py).
+    """
 
     def __init__(self) -> None:
         self.forget()
@@ -58,7 +62,15 @@ class Rates:
     def forget(self) -> None:
         """Nothing carries over."""
         self.known, self.mean, self.covariance = False, np.zeros(2), np.full((2, 2), math.nan)
+        self.with_heading = np.zeros(2)
 
-    def learn(self, mean: FloatArray, covariance: FloatArray) -> None:
-        """Take the rates ``(2,)`` at the last two knots of a step and their covariance ``(2, 2)``."""
+    def learn(self, mean: FloatArray, covariance: FloatArray, with_heading: FloatArray) -> None:
+        """Take the rates at the last two knots of a step.
+
+        Args:
+            mean: ``(2,)``.
+            covariance: ``(2, 2)`` of their errors.
+            with_heading: ``(2,)`` covariance with the error of the sum of the reported increments.
+        """
         self.known, self.mean, self.covariance = True, mean.copy(), covariance.copy()
+        self.with_heading = with_heading.copy()

@@ -17,7 +17,7 @@ from mixo_env.errors import DatasetError, unknown
 from mixo_env.experts.expert import State
 from mixo_env.experts.joint.config import JointConfig
 from mixo_env.experts.joint.memory import Mountings, Rates
-from mixo_env.experts.joint.problem import Moment, Problem, halved
+from mixo_env.experts.joint.problem import REACH, Moment, Problem, thinned
 from mixo_env.experts.joint.sight import JointStep, Sight
 from mixo_env.experts.joint.solve import BODY, OWN, Solved
 from mixo_env.experts.monocular.camera import MountedCamera
@@ -81,7 +81,7 @@ class JointOdometry:
         if not used:
             return self._report(None, {}, math.nan)
         moment = Moment((-opening_s, 0.0, gap_s), last_us, used)
-        alone = Problem(self.config, self._cameras, halved(moment), Rates(), Mountings(used, self.config))
+        alone = Problem(self.config, self._cameras, thinned(moment), Rates(), Mountings(used, self.config))
         stateless = alone.solve()
         two_frame = alone.increment(stateless)[0] if self._good(alone, stateless) else math.nan
         problem = Problem(self.config, self._cameras, moment, self._rates, self._mountings)
@@ -110,7 +110,7 @@ class JointOdometry:
 
     def _usable(self, sights: Mapping[str, Sight], last_us: int, opening_s: float) -> dict[str, Sight]:
         """The cameras that have a say: enough matches, not misplaced, images that the knots reach."""
-        earliest_us = last_us - 1.6e6 * opening_s
+        earliest_us = last_us - 1e6 * REACH * opening_s
         least = max(self.config.min_matches, _FEWEST)
         return {
             name: seen
@@ -147,7 +147,8 @@ class JointOdometry:
                 inliers += round(inside * seen.matches)
             if good:
                 yaw, std = problem.increment(solved)
-                self._learn(problem, solved)
+                more, share_of_rig = problem.lean(solved)
+                yaw, std = yaw + more, std * math.sqrt(share_of_rig)
         if good:
             self._good_steps += 1
             started = self._state is State.TRACKING or self._good_steps >= self.config.initial_steps
@@ -158,6 +159,8 @@ class JointOdometry:
             self._good_steps = 0
             self._rates.forget()
         tracking = self._state is State.TRACKING
+        if good and found is not None:
+            self._learn(*found, tracking=tracking)
         return JointStep(
             state=self._state,
             yaw_increment_rad=yaw if tracking else math.nan,
@@ -170,8 +173,9 @@ class JointOdometry:
             two_frame_yaw_increment_rad=two_frame,
         )
 
-    def _learn(self, problem: Problem, solved: Solved) -> None:
-        self._rates.learn(solved.unknowns[1:3], solved.covariance[1:3, 1:3])
+    def _learn(self, problem: Problem, solved: Solved, *, tracking: bool) -> None:
+        with_heading = problem.with_heading(solved) if tracking else np.zeros(2)  # others need no making up for
+        self._rates.learn(solved.unknowns[1:3], solved.covariance[1:3, 1:3], with_heading)
         self._learn_mountings(problem, solved, frozenset(problem.moment.used))
 
     def _learn_mountings(self, problem: Problem, solved: Solved, cameras: frozenset[str]) -> None:

@@ -14,6 +14,34 @@ from mixo_env.experts.monocular.pair import Pair
 
 
 @dataclass(frozen=True)
+class Change:
+    """How the yaw increment of two images differs from that of the two before, from points seen in all three.
+
+    Attributes:
+        before_us: when the first of the three was taken.
+        yaw_rad: the second increment less the first.
+        std_rad: its standard deviation, were the errors of the points independent.
+    """
+
+    before_us: int
+    yaw_rad: float
+    std_rad: float
+
+
+@dataclass(frozen=True)
+class Told:
+    """What the camera's own odometry has reported for its two images.
+
+    Attributes:
+        yaw_rad: increment, with what it corrects of earlier ones.
+        std_rad: its standard deviation.
+    """
+
+    yaw_rad: float
+    std_rad: float
+
+
+@dataclass(frozen=True)
 class Sight:
     """Two images of one camera, compared: no yaw-rate sensor and no pose is in it.
 
@@ -24,6 +52,8 @@ class Sight:
         matches: number of matched features.
         first, second: ``(n, 2)`` a sample of them on the image planes.
         yaw_rad: yaw increment that the two images alone tell; NaN where they do not.
+        change: of that increment, from three images; ``None`` where they do not tell.
+        told: by the camera's own odometry; ``None`` unless it is tracking.
     """
 
     start_us: int
@@ -34,28 +64,34 @@ class Sight:
     first: NDArray[np.float64]
     second: NDArray[np.float64]
     yaw_rad: float
+    change: Change | None = None
+    told: Told | None = None
 
 
-def sight(pair: Pair, start_us: int, end_us: int, most: int) -> Sight:
+def sight(
+    pair: Pair, times_us: tuple[int, int], most: int, change: Change | None = None, told: Told | None = None
+) -> Sight:
     """The part of a pair that a joint step needs.
 
     Args:
         pair: of a single-camera odometry.
-        start_us: when its first image was taken.
-        end_us: when its second image was taken.
+        times_us: when its images were taken.
         most: matches to keep, evenly picked.
+        change: against the pair before.
+        told: by the odometry.
     """
     picked = slice(None, None, max(1, -(-len(pair.first) // most)))
     yaw = math.nan if pair.motion is None else pair.motion.yaw_rad
     return Sight(
-        start_us,
-        end_us,
+        *times_us,
         pair.prior.distance_m,
         pair.prior.noise,
         pair.matches,
         pair.first[picked].copy(),
         pair.second[picked].copy(),
         yaw,
+        change,
+        told,
     )
 
 

@@ -75,6 +75,8 @@ class MonocularOdometry:
         self._turn = Turn(self.config.yaw_acceleration_radps2)
         self.pair: Pair | None = None
         """The last two images compared, before any memory; ``None`` where they could not be."""
+        self.change: tuple[float, float] | None = None
+        """What the last three images say of the change of the yaw increment, as :func:`turn_change` gives it."""
         self._previous: Frame | None = None
         self._heading = Heading(self.config.yaw_acceleration_radps2)
         self._solved: tuple[Pair, Motion] | None = None
@@ -102,7 +104,7 @@ class MonocularOdometry:
             DatasetError: wrong type or size of image, time that does not increase, distance that is not finite.
         """
         check_input(self.camera, image, timestamp_us, self._last_timestamp_us, distance_m)
-        self.pair = None
+        self.pair = self.change = None
         previous, last, working = self._previous, self._last_image, self.camera.shrink(image)
         gap_s = math.inf if self._last_timestamp_us is None else (timestamp_us - self._last_timestamp_us) * 1e-6
         self._last_timestamp_us, self._last_image = timestamp_us, working
@@ -126,6 +128,7 @@ class MonocularOdometry:
         sure = found is not None and inliers >= config.min_inliers and found.yaw_std_rad <= config.max_yaw_std_rad
         motion = found if sure else None
         solved = self._refined(pair, motion, gap_s, last) if pair is not None and motion is not None else None
+        self.change = None if solved is None else solved[1]
         if solved is None:
             first_image = pair is None and self._state is State.INITIALISING and self._good_pairs == 0
             self._state = State.INITIALISING if first_image else State.LOST

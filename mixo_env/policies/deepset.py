@@ -1,0 +1,208 @@
+"""A deep set over experts: two dense layers for each, their mean over the voters, two more, one number an expert.
+
+Permutation-equivariant by construction (Zaheer et al. 2017, "Deep Sets"). Trained with torch, used without it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixo_env.compiled import compiled
+from mixo_env.policies.lessons import Lessons
+
+if TYPE_CHECKING:
+    import torch
+    from torch import nn
+
+FloatArray = NDArray[np.float64]
+Matrix = NDArray[np.float32]
+Vector = NDArray[np.float32]
+Layers = tuple[tuple[NDArray[np.float32], NDArray[np.float32]], ...]
+"""Weight ``(outputs, inputs)`` and bias of the four dense layers."""
+
+LEAST_WEIGHT = 1e-9
+"""Of the consensus, whose logarithm is taken."""
+
+GRADIENT_NORM = 1.0
+"""Gradients are cut to it: scenes in which an expert breaks have large ones."""
+
+
+def folded(layers: Layers, mean: NDArray[np.float32], std: NDArray[np.float32]) -> Layers:
+    """The same network on inputs that are not standardised."""
+    (weight, bias), *rest = layers
+    scaled = (weight / std).astype(np.float32)
+    return ((scaled, (bias - scaled @ mean).astype(np.float32)), *rest)
+
+
+def weigh(
+    layers: Layers, told: tuple[NDArray[np.float32], NDArray[np.float32], FloatArray], voting: NDArray[np.bool_]
+) -> FloatArray:
+    """Softmax over the voters of log consensus + what the network adds, ``(batch, experts)``.
+
+    Args:
+        layers: on inputs as they come.
+        told: signals ``(batch, experts, n)``, whole ``(batch, m)`` and consensus ``(batch, experts)``.
+        voting: ``(batch, experts)``; one that is false has no weight.
+    """
+    (first, a), (second, b), (third, c), (last, d) = layers
+    weights = np.empty(voting.shape)
+    _weigh(told, voting, (first.T.copy(), second.T.copy(), third.T.copy(), last.T.copy()), (a, b, c, d), weights)
+    return weights
+
+
+@compiled
+def _weigh(
+    told: tuple[NDArray[np.float32], NDArray[np.float32], FloatArray],
+    voting: NDArray[np.bool_],
+    matrices: tuple[Matrix, Matrix, Matrix, Matrix],
+    biases: tuple[Vector, Vector, Vector, Vector],
+    weights: FloatArray,
+) -> None:
+    """:func:`weigh` with matrices ``(inputs, outputs)``: sums run along the outputs, several at once."""
+    signals, whole, consensus = told
+    first, second, third, last = matrices
+    batch, experts, length = signals.shape
+    width = len(biases[0])
+    base, one = np.empty(width, np.float32), np.empty(width, np.float32)
+    pooled, hidden = np.empty(width, np.float32), np.empty((experts, width), np.float32)
+    number = np.empty(1, np.float32)
+    for k in range(batch):
+        _dense(whole[k], first[length:], biases[0], base)
+        pooled[:] = 0.0
+        count = np.float32(0.0)
+        for e in range(experts):
+            _dense(signals[k, e], first[:length], base, one)
+            _rectify(one)
+            _dense(one, second, biases[1], hidden[e])
+            _rectify(hidden[e])
+            if voting[k, e]:
+                count += np.float32(1.0)
+                for j in range(width):
+                    pooled[j] += hidden[e, j]
+        for j in range(width):
+            pooled[j] /= count
+        _dense(pooled, third[width:], biases[2], base)
+        largest = -np.inf
+        for e in range(experts):
+            _dense(hidden[e], third[:width], base, one)
+            _rectify(one)
+            _dense(one, last, biases[3], number)
+            weights[k, e] = math.log(max(consensus[k, e], LEAST_WEIGHT)) + number[0] if voting[k, e] else -np.inf
+            largest = max(largest, weights[k, e])
+        total = 0.0
+        for e in range(experts):
+            weights[k, e] = math.exp(weights[k, e] - largest)
+            total += weights[k, e]
+        for e in range(experts):
+            weights[k, e] /= total
+
+
+@compiled
+def _dense(x: Vector, weight: Matrix, bias: Vector, out: Vector) -> None:
+    """Write ``x W + b``."""
+    for j in range(len(out)):
+        out[j] = bias[j]
+    for i in range(len(x)):
+        for j in range(len(out)):
+            out[j] += x[i] * weight[i, j]
+
+
+@compiled
+def _rectify(x: Vector) -> None:
+    for j in range(len(x)):
+        x[j] = max(x[j], np.float32(0.0))
+
+
+def train(
+    given: Lessons, inputs: NDArray[np.float32], hidden: int, learning_rate: float, updates: int, batch: int
+) -> Layers:
+    """Adam on the errors of the integrated heading; torch's generator decides the order and the first weights.
+
+    The learning rate falls to zero in a straight line.
+
+    Args:
+        given: scenes.
+        inputs: ``(scenes, steps, experts, width)``, standardised.
+        hidden: width of all layers but the last.
+        learning_rate: at the beginning.
+        updates: how many; scenes come round in random order.
+        batch: scenes in an update, at most.
+    """
+    import torch
+    from torch import nn
+
+    network = _network(inputs.shape[-1], hidden)
+    parameters = [value for layer in network for value in layer.parameters()]
+    optimiser = torch.optim.Adam(parameters, lr=learning_rate)
+    x, voting = torch.from_numpy(inputs), torch.from_numpy(given.voting)
+    consensus = torch.from_numpy(np.log(np.maximum(given.consensus, LEAST_WEIGHT)))
+    increment, truth = torch.from_numpy(given.increment), torch.from_numpy(given.truth)
+    active = torch.from_numpy(given.active)
+    pieces = [tuple(torch.from_numpy(part) for part in piece) for piece in given.pieces]
+
+    def errors(rows: torch.Tensor, correct: bool = True) -> tuple[torch.Tensor, torch.Tensor]:
+        logits = consensus[rows] + (_forward(network, x[rows], voting[rows]) if correct else 0.0)
+        weights = torch.softmax(torch.where(voting[rows], logits, -torch.inf), dim=-1)
+        error = ((weights * increment[rows]).sum(dim=-1) - truth[rows]) * active[rows]
+        return heading_errors(error, active[rows], [pieces[row] for row in rows.tolist()])
+
+    scenes = torch.arange(len(inputs))
+    with torch.no_grad():
+        relative, absolute = errors(scenes, correct=False)
+    schedule = torch.optim.lr_scheduler.LambdaLR(optimiser, lambda t: 1.0 - t / max(updates, 1))
+    rounds = -(-updates // -(-len(inputs) // batch))
+    order = [rows for _ in range(rounds) for rows in torch.randperm(len(inputs)).split(batch)]
+    for rows in order[:updates]:
+        of_pieces, of_scenes = errors(rows)
+        loss = of_pieces / relative + of_scenes / absolute
+        optimiser.zero_grad()
+        loss.backward()
+        nn.utils.clip_grad_norm_(parameters, GRADIENT_NORM)
+        optimiser.step()
+        schedule.step()
+    return tuple((layer.weight.detach().numpy().copy(), layer.bias.detach().numpy().copy()) for layer in network)
+
+
+def heading_errors(
+    error: torch.Tensor, active: torch.Tensor, pieces: Sequence[tuple[torch.Tensor, ...]]
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """What the table counts, of increments that are off by ``error`` ``(scenes, steps)``.
+
+    Returns:
+        Mean over all pieces of the heading's change of error per metre, and mean over the scenes of the RMSE of the
+        heading about its mean; in units of ``error``.
+    """
+    import torch
+
+    heading = torch.cat([torch.zeros(len(error), 1), torch.cumsum(error, dim=1)], dim=1)
+    off = [(heading[k, end] - heading[k, start]).abs() / length for k, (start, end, length) in enumerate(pieces)]
+    driven, count = active.to(error.dtype), active.sum(dim=1)
+    mean = (heading[:, 1:] * driven).sum(dim=1) / count
+    square = ((heading[:, 1:] - mean[:, None]).square() * driven).sum(dim=1) / count
+    return torch.cat(off).mean(), (square + 1e-6).sqrt().mean()
+
+
+def _network(inputs: int, hidden: int) -> list[nn.Linear]:
+    """Four dense layers, the last one zero: an untrained gate corrects nothing."""
+    from torch import nn
+
+    layers = [nn.Linear(inputs, hidden), nn.Linear(hidden, hidden), nn.Linear(2 * hidden, hidden), nn.Linear(hidden, 1)]
+    nn.init.zeros_(layers[3].weight)
+    nn.init.zeros_(layers[3].bias)
+    return layers
+
+
+def _forward(network: list[nn.Linear], x: torch.Tensor, voting: torch.Tensor) -> torch.Tensor:
+    """What is added to the logarithms of the consensus, ``(..., experts)``, with gradients."""
+    import torch
+
+    hidden = torch.relu(network[1](torch.relu(network[0](x))))
+    votes = voting[..., None].to(x.dtype)
+    pooled = (hidden * votes).sum(dim=-2, keepdim=True) / votes.sum(dim=-2, keepdim=True)
+    joined = torch.cat([hidden, pooled.expand_as(hidden)], dim=-1)
+    return network[3](torch.relu(network[2](joined)))[..., 0]

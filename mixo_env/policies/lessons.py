@@ -1,0 +1,162 @@
+"""What a gate over tokens learns from: training scenes as arrays, also with experts that drop out and break."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixo_env.envs.replay import Replay
+from mixo_env.metrics.pairs import find_pairs, path_length
+from mixo_env.policies.calibration import Calibration
+from mixo_env.policies.tokens import UNIT_RAD, Memory, Seen, read, tokenise
+from mixo_env.recordings.collection import Recordings
+
+FloatArray = NDArray[np.float64]
+Piece = tuple[NDArray[np.int64], NDArray[np.int64], FloatArray]
+
+DROPOUT, FAILURE = 0.5, 0.5
+"""Share of the spoilt scenes in which experts are missing throughout, and in which one breaks for a while."""
+
+SMALLEST, LARGEST = 2.0, 1000.0
+"""[UNIT_RAD] Errors of a broken expert, evenly in their logarithm: from what hardly matters to 17 degrees a step."""
+
+
+@dataclass(frozen=True)
+class Lessons:
+    """Scenes; all arrays begin with ``(scenes, steps)``.
+
+    Attributes:
+        signals, whole, consensus, voting: of :class:`~mixo_env.policies.tokens.Tokens`, and who votes.
+        increment: ``(.., experts)`` in UNIT_RAD.
+        truth: in UNIT_RAD.
+        active: the scene lasts.
+        pieces: of every scene the first pose, last pose and length [m] of its pieces of path.
+    """
+
+    signals: NDArray[np.float32]
+    whole: NDArray[np.float32]
+    consensus: NDArray[np.float32]
+    voting: NDArray[np.bool_]
+    increment: NDArray[np.float32]
+    truth: NDArray[np.float32]
+    active: NDArray[np.bool_]
+    pieces: tuple[Piece, ...]
+
+
+def lessons(training: Recordings, track: str, calibration: Calibration, spoilt: int, seed: int) -> Lessons:
+    """Training scenes, and ``spoilt`` times the same with experts that drop out or break.
+
+    In every other of those nothing is known of the experts beforehand: so a gate learns to judge strangers.
+
+    Args:
+        training: with true increments.
+        track: whose experts vote.
+        calibration: of the voters.
+        spoilt: spoilt versions of each scene.
+        seed: of what befalls them.
+    """
+    rng = np.random.default_rng(seed)
+    seen, truth, active = watch(training, track, calibration)
+    versions = [seen, *(spoil(seen, active, rng, strangers=k % 2 == 0) for k in range(spoilt))]
+    told = [told_in_tokens(one) for one in versions]
+    return Lessons(
+        *(np.concatenate([parts[j] for parts in told]) for j in range(3)),
+        voting=_scenes_first([one.voting for one in versions]),
+        increment=_scenes_first([one.increment for one in versions]).astype(np.float32),
+        truth=_scenes_first([truth] * len(versions)).astype(np.float32),
+        active=_scenes_first([active] * len(versions)),
+        pieces=pieces(training) * len(versions),
+    )
+
+
+def watch(training: Recordings, track: str, calibration: Calibration) -> tuple[Seen, FloatArray, NDArray[np.bool_]]:
+    """All scenes side by side: what is seen, with ``(steps, scenes)`` in front, true increments, and who still drives.
+
+    Counts keep their four kinds in front. What is seen does not depend on the weights, but for the previous yaw rate,
+    which is no part of a token.
+    """
+    replay = Replay(training, track=track, privileged=True, keep_trajectories=False)
+    replay.reset(np.arange(len(replay)))
+    weights = np.full((len(replay), len(replay.experts)), 1.0 / len(replay.experts))
+    steps, truth, active = [], [], []
+    while not replay.done.all():
+        active.append(~replay.done)
+        look = replay.observe()
+        steps.append(read(look, calibration))
+        truth.append((look["truth_yaw_rate"] * look["dt"])[:, 0].astype(np.float64) / UNIT_RAD)
+        replay.step(weights)
+    counts = np.stack([step.counts for step in steps], axis=1)
+    stacked = {name: np.stack([getattr(one, name) for one in steps]) for name in Seen._fields if name != "counts"}
+    return Seen(**stacked, counts=counts), np.stack(truth), np.stack(active)
+
+
+def spoil(seen: Seen, active: NDArray[np.bool_], rng: np.random.Generator, *, strangers: bool) -> Seen:
+    """The same scenes with experts missing throughout, and with one that breaks for a while.
+
+    With ``strangers`` nothing is known of any expert beforehand.
+    """
+    increment, stated, std = (x.copy() for x in (seen.increment, seen.stated, seen.std))
+    voting = seen.voting.copy()
+    if strangers:
+        std[:] = np.inf
+    experts = increment.shape[2]
+    for scene in range(increment.shape[1]):
+        if experts > 2 and rng.random() < DROPOUT:
+            gone = rng.permutation(experts)[: rng.integers(1, experts - 1)]
+            rest = voting[:, scene].copy()
+            rest[:, gone] = False
+            voting[:, scene] = np.where(rest.any(axis=1, keepdims=True), rest, voting[:, scene])
+        if rng.random() < FAILURE:
+            first, stop = np.sort(rng.integers(0, np.count_nonzero(active[:, scene]) + 1, 2))
+            expert = rng.integers(experts)
+            increment[first:stop, scene, expert] = broken(increment[first:stop, scene, expert], rng)
+            if rng.random() < 0.5:
+                stated[first:stop, scene, expert] = 0.0
+    return seen._replace(increment=increment, stated=stated, std=std, voting=voting)
+
+
+def broken(increment: FloatArray, rng: np.random.Generator) -> FloatArray:
+    """Increments ``(n,)`` of an expert that errs at random, by a constant or now and then, stands still, or scales."""
+    size = np.exp(rng.uniform(np.log(SMALLEST), np.log(LARGEST)))
+    noise = rng.normal(0.0, size, len(increment))
+    return (
+        increment + noise,
+        increment + rng.choice([-1.0, 1.0]) * size,
+        increment + np.where(rng.random(len(increment)) < 0.1, noise, 0.0),
+        np.zeros_like(increment),
+        increment * rng.uniform(0.5, 1.5),
+    )[rng.integers(5)]
+
+
+def told_in_tokens(seen: Seen) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
+    """Signals, whole and consensus of all steps, ``(scenes, steps, ...)``."""
+    steps, scenes, experts = seen.increment.shape
+    memory = Memory.blank(scenes, experts)
+    told = [tokenise(seen_at(seen, t), memory) for t in range(steps)]
+    signals, whole, consensus = (np.stack([step[j] for step in told], axis=1).astype(np.float32) for j in range(3))
+    return signals, whole, consensus
+
+
+def seen_at(seen: Seen, step: int) -> Seen:
+    """One step of all scenes."""
+    one = {name: getattr(seen, name)[step] for name in Seen._fields if name != "counts"}
+    return Seen(**one, counts=seen.counts[:, step])
+
+
+def pieces(training: Recordings) -> tuple[Piece, ...]:
+    """Pieces of path of every scene, as the relative error has them; poses count from 0 in each scene."""
+    offsets = training.offsets
+    path = path_length(np.stack([training["truth.x_m"], training["truth.y_m"]], axis=1), offsets)
+    found = find_pairs(path, None, offsets)
+    bounds = np.searchsorted(found.scene, np.arange(len(offsets)))
+    return tuple(
+        (found.start[a:b] - first, found.end[a:b] - first, found.length_m[a:b])
+        for a, b, first in zip(bounds[:-1], bounds[1:], offsets[:-1], strict=True)
+    )
+
+
+def _scenes_first(arrays: list[NDArray]) -> NDArray:
+    """``(steps, scenes, ...)`` of several versions -> ``(scenes of all, steps, ...)``."""
+    return np.concatenate([np.moveaxis(array, 0, 1) for array in arrays])

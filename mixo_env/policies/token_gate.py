@@ -1,0 +1,124 @@
+"""TOKEN: a gate for any number and kind of experts, trained on where the car ends up."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixo_env.policies.calibration import Calibration, Past
+from mixo_env.policies.deepset import Layers, folded, weigh
+from mixo_env.policies.lessons import lessons
+from mixo_env.policies.policy import Observation, Policy, Weights
+from mixo_env.policies.storage import finite
+from mixo_env.policies.tokens import SIGNALS, WHOLE, Memory, read, tokenise
+from mixo_env.recordings.collection import Recordings
+
+SMALLEST_STD = 1e-3
+"""A signal that hardly changes in training is not blown up when it does later."""
+
+_STRANGER = (np.inf, np.inf)
+
+
+class Token(Policy):
+    """Deep set over the experts (Zaheer et al. 2017) that corrects a Student-t consensus.
+
+    Every expert's token passes the same two dense layers; the mean over those that vote joins each of them in two more,
+    whose output is added to the logarithm of the expert's consensus weight, and a softmax over the voters follows. So
+    the weights are permutation-equivariant, an untrained gate is the consensus, and experts may come, go or be
+    strangers: of one that was not in the training scenes only what it does on the way is known.
+
+    The loss is what the table counts, relative to the consensus: mean rotation error of the pieces of path per metre,
+    and mean RMSE of the heading of a scene.
+    """
+
+    name = "TOKEN"
+    learns = True
+    any_experts: ClassVar[bool] = True
+
+    def __init__(
+        self,
+        *,
+        hidden: int = 16,
+        learning_rate: float = 0.002,
+        updates: int = 150,
+        batch: int = 16,
+        spoilt: int = 1,
+    ) -> None:
+        """Set width, training, scenes in an update, and spoilt versions of every training scene."""
+        self.hidden, self.learning_rate, self.updates = hidden, learning_rate, updates
+        self.batch, self.spoilt = batch, spoilt
+        self._known: dict[str, Sequence[float]] = {}
+
+    def start(self, voters: Sequence[str]) -> None:
+        """Take the voters; after a fit, others than those it was fitted with are strangers."""
+        super().start(voters)
+        self._calibration = Calibration(*np.array([self._known.get(name, _STRANGER) for name in self.experts]).T.copy())
+
+    def fit(self, training: Recordings, track: str, *, seed: int = 0) -> None:
+        """Train on scenes as they are, mirrored and spoilt; same seed, same machine: same bits."""
+        import torch
+
+        from mixo_env.policies.deepset import train
+
+        experts = training.voters(track)
+        self._know(experts, Calibration.fit(Past.read(training, experts)))
+        super().fit(training, track)
+        drawn, trained = np.random.SeedSequence(seed).generate_state(2)
+        given = lessons(training, track, self._calibration, self.spoilt, int(drawn))
+        x = _inputs(given.signals, given.whole)
+        told = x[given.voting & given.active[..., None]]
+        mean, std = told.mean(axis=0), np.maximum(told.std(axis=0), SMALLEST_STD)
+        torch.set_num_threads(1)
+        with torch.random.fork_rng(devices=[]):
+            torch.manual_seed(int(trained))
+            layers = train(given, (x - mean) / std, self.hidden, self.learning_rate, self.updates, self.batch)
+        self._layers = folded(layers, mean, std)
+
+    def reset(self, batch: int) -> None:
+        """Forget how the experts did."""
+        self._memory = Memory.blank(batch, len(self.experts))
+
+    def act(self, observation: Observation) -> Weights:
+        """Rows ``(batch, experts)`` that sum to one; who does not vote has none."""
+        seen = read(observation, self._calibration)
+        return weigh(self._layers, tokenise(seen, self._memory), seen.voting)
+
+    def settings(self) -> dict[str, Any]:
+        """Width and training."""
+        return {name: getattr(self, name) for name in ("hidden", "learning_rate", "updates", "batch", "spoilt")}
+
+    def tensors(self) -> dict[str, NDArray[Any]]:
+        """Calibration and network."""
+        weights = {f"weight.{i}": weight for i, (weight, _) in enumerate(self._layers)}
+        biases = {f"bias.{i}": bias for i, (_, bias) in enumerate(self._layers)}
+        return {**self._calibration.tensors(), **weights, **biases}
+
+    def shapes(self, inputs: int) -> dict[str, tuple[int, ...]]:
+        """Calibration and the four dense layers."""
+        width, h = SIGNALS + WHOLE, self.hidden
+        sizes = ((h, width), (h, h), (h, 2 * h), (1, h))
+        layers = {f"weight.{i}": size for i, size in enumerate(sizes)}
+        biases = {f"bias.{i}": size[:1] for i, size in enumerate(sizes)}
+        return {**Calibration.shapes(len(self.experts)), **layers, **biases}
+
+    def restore(self, tensors: Mapping[str, NDArray[Any]]) -> None:
+        """Take back calibration and network."""
+        calibration = Calibration.restore(tensors)
+        self._know(self.experts, calibration)
+        self.start(self.experts)
+        learned = {name: value for name, value in tensors.items() if name not in calibration.tensors()}
+        values = {name: finite(name, value).astype(np.float32) for name, value in learned.items()}
+        self._layers: Layers = tuple((values[f"weight.{i}"], values[f"bias.{i}"]) for i in range(4))
+
+    def _know(self, experts: Sequence[str], calibration: Calibration) -> None:
+        numbers = np.stack(list(calibration.tensors().values()), axis=1)
+        self._known = dict(zip(experts, numbers.tolist(), strict=True))
+
+
+def _inputs(signals: NDArray[np.float32], whole: NDArray[np.float32]) -> NDArray[np.float32]:
+    """``(..., experts, SIGNALS + WHOLE)``: every token with the whole step."""
+    shape = (*signals.shape[:-1], whole.shape[-1])
+    return np.concatenate([signals, np.broadcast_to(whole[..., None, :], shape)], axis=-1)

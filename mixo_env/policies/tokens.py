@@ -1,0 +1,171 @@
+"""What a gate sees of every expert, whatever their number, order and kind: one token each, and one of the whole step.
+
+A token holds how far the expert is from the others, now and lately, how sure it is, and what it counts; a signal that
+it does not have is zero and flagged. Nothing names the expert, so a gate over tokens serves any set of them.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixo_env.compiled import compiled
+from mixo_env.policies.calibration import Calibration
+from mixo_env.policies.consensus import likeliest
+from mixo_env.policies.policy import Observation
+from mixo_env.policies.robust import believable
+
+FloatArray = NDArray[np.float64]
+
+UNIT_RAD = 3e-4
+"""0.017 deg, about the error of a good expert in one step; increments are told in it."""
+
+SIGNALS = 14
+"""Numbers in a token."""
+
+WHOLE = 5
+"""Numbers that tell of the whole step."""
+
+FREEDOM = 2.0
+"""Of the Student-t consensus that tokens are measured from: an outlier's pull fades soon."""
+
+_FLOOR = 0.1
+"""[UNIT_RAD] Disagreement below it is everybody's noise."""
+
+_SHORT, _LONG = 0.1, 0.02
+"""Share of the newest step in the running means: about one second, and five, at 12 Hz."""
+
+_LEAST_DT_S = 1e-3
+
+
+class Memory(NamedTuple):
+    """What is remembered of every expert's distance from the consensus, ``(batch, experts)`` each, in UNIT_RAD.
+
+    Attributes:
+        last: in the last step.
+        size: running mean of its size.
+        lean: running mean with its sign.
+    """
+
+    last: FloatArray
+    size: FloatArray
+    lean: FloatArray
+
+    @classmethod
+    def blank(cls, batch: int, experts: int) -> Memory:
+        """Of scenes that have not begun."""
+        return cls(np.zeros((batch, experts)), np.ones((batch, experts)), np.zeros((batch, experts)))
+
+
+class Seen(NamedTuple):
+    """The part of an observation that becomes tokens.
+
+    Attributes:
+        increment: ``(batch, experts)`` in UNIT_RAD.
+        stated: ``(batch, experts)`` standard deviation that the expert states, in UNIT_RAD; 0: none.
+        std: ``(batch, experts)`` the same calibrated; infinite for a stranger: what is seen on the way then counts.
+        voting: ``(batch, experts)``.
+        counts: ``(4, batch, counting)`` matches, inliers, residual [px], flow [px]; the first experts count.
+        step: ``(batch, 2)`` speed [m/s] and duration [s].
+    """
+
+    increment: FloatArray
+    stated: FloatArray
+    std: FloatArray
+    voting: NDArray[np.bool_]
+    counts: NDArray[np.float32]
+    step: FloatArray
+
+
+class Tokens(NamedTuple):
+    """One step as a gate sees it.
+
+    Attributes:
+        signals: ``(batch, experts, SIGNALS)``.
+        whole: ``(batch, WHOLE)``.
+        consensus: ``(batch, experts)`` weights of the Student-t consensus; they sum to one.
+    """
+
+    signals: NDArray[np.float32]
+    whole: NDArray[np.float32]
+    consensus: FloatArray
+
+
+def read(observation: Observation, calibration: Calibration) -> Seen:
+    """Pick what becomes tokens."""
+    dt = observation["dt"].astype(np.float64)
+    counts = [observation[name] for name in ("matches", "inliers", "residual_px", "flow_px")]
+    return Seen(
+        observation["yaw_rates"] * dt / UNIT_RAD,
+        observation["yaw_rate_std"] * dt / UNIT_RAD,
+        calibration.std(observation) / UNIT_RAD,
+        believable(observation),
+        np.stack(counts),
+        np.concatenate([observation["speed"].astype(np.float64), dt], axis=1),
+    )
+
+
+def tokenise(seen: Seen, memory: Memory) -> Tokens:
+    """Tokens of one step; ``memory`` goes on by it."""
+    batch, experts = seen.increment.shape
+    signals = np.zeros((batch, experts, SIGNALS), np.float32)
+    whole = np.zeros((batch, WHOLE), np.float32)
+    consensus = np.empty((batch, experts))
+    _tokenise(seen, memory, signals, whole, consensus)
+    return Tokens(signals, whole, consensus)
+
+
+@compiled
+def _tokenise(
+    seen: Seen,
+    memory: Memory,
+    signals: NDArray[np.float32],
+    whole: NDArray[np.float32],
+    consensus: FloatArray,
+) -> None:
+    batch, experts = seen.increment.shape
+    scale, off = np.empty(experts), np.empty(experts)
+    for b in range(batch):
+        increment, voting, weight = seen.increment[b], seen.voting[b], consensus[b]
+        for e in range(experts):
+            scale[e] = seen.std[b, e] if seen.std[b, e] < math.inf else memory.size[b, e]
+        centre = likeliest(increment, scale, voting, FREEDOM, weight)
+        spread, count, information = 0.0, 0, 0.0
+        for e in range(experts):
+            off[e] = increment[e] - centre if voting[e] else 0.0
+            spread += abs(off[e])
+            if voting[e]:
+                count += 1
+                information += scale[e] ** -2.0
+        for e in range(experts):
+            token = signals[b, e]
+            token[0] = math.asinh(off[e])
+            token[1] = math.log(abs(off[e]) + _FLOOR)
+            token[2] = math.asinh(off[e] / scale[e])
+            token[3] = math.asinh(memory.last[b, e])
+            token[4] = math.log(memory.size[b, e] + _FLOOR)
+            token[5] = math.asinh(memory.lean[b, e])
+            if seen.stated[b, e] > 0.0:
+                token[6] = math.log(max(seen.stated[b, e], _FLOOR))
+                token[7] = 1.0
+            if e < seen.counts.shape[2]:
+                matches = seen.counts[0, b, e]
+                token[8] = 0.2 * math.log1p(matches)
+                token[9] = seen.counts[1, b, e] / max(matches, 1.0)
+                token[10] = seen.counts[2, b, e]
+                token[11] = 0.2 * math.log1p(seen.counts[3, b, e])
+                token[12] = 1.0
+            token[13] = math.log(scale[e])
+            if voting[e]:
+                memory.last[b, e] = off[e]
+                memory.size[b, e] += _LONG * (abs(off[e]) - memory.size[b, e])
+                memory.lean[b, e] += _SHORT * (off[e] - memory.lean[b, e])
+        speed, dt = seen.step[b]
+        whole[b, 0] = 0.1 * speed
+        whole[b, 1] = math.asinh(centre * UNIT_RAD / max(dt, _LEAST_DT_S) / 0.05)
+        whole[b, 2] = math.log(spread / count + _FLOOR)
+        whole[b, 3] = 0.25 * count
+        whole[b, 4] = -0.5 * math.log(information)
