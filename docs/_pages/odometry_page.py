@@ -32,6 +32,7 @@ from mixo_env.errors import MixoError
 from mixo_env.experts.expert import CameraStep
 from mixo_env.experts.monocular.camera import mount
 from mixo_env.experts.monocular.config import PRESETS, MonocularConfig
+from mixo_env.experts.monocular.front_end import OrbFrontEnd
 from mixo_env.experts.monocular.odometry import MonocularOdometry
 from mixo_env.experts.monocular.pair import PairSolver
 from mixo_env.files import atomic_path, write_text
@@ -92,7 +93,7 @@ def pair_at(drive: Drive, time_s: float, config: MonocularConfig) -> tuple[int, 
     """The number of the first image after ``time_s`` that has a next one, and how the odometry sees the two."""
     time = 1e-6 * (drive.timestamp_us - drive.timestamp_us[0])
     i = min(int(np.searchsorted(time, time_s)), len(time) - 2)
-    solver = PairSolver(mount(drive.calibration, config.max_pixels), config)
+    solver = PairSolver(mount(drive.calibration, config.max_pixels), config, OrbFrontEnd(config))
     images = drive.read(drive.image_paths[i]), drive.read(drive.image_paths[i + 1])
     view = compare(
         drive.calibration.channel,
@@ -334,8 +335,8 @@ chance; seed 102 was not used for it. Measured before the contradiction of a sur
 JOINT is 29 % below the best single camera in seed 101 (95 % interval over logs 14 to 43) and 41 % in seed 102 (16 to
 60; CAM_FRONT broke down there in a later scene), and 23 % (9 to 38) and 18 % (8 to 30) below HUBER, in turns as on
 straight roads. Increments lie within 1 (1.96) of their standard deviations in 79 and 78 % (98 and 97 %). Single
-increments are still noisier than HUBER's (.0074 against about .005 deg). The solves of a step (with and without memory)
-cost 2.9 ms of CPU time in the median, beside about 7 ms for each camera's image.
+increments are still noisier than HUBER's (.0074 against about .005 deg). The solve costs
+2.9 ms of CPU time in the median, 3.1 to 4 ms with the stateless one beside it, and each camera's image about 7 ms.
 
 What limits it: each camera's error has a part that lasts for seconds (CAM_BACK drifts .001 deg per step to the left in
 nearly every scene; the cause is spread over the picture and was not found). Widening the errors of single cameras
