@@ -74,8 +74,8 @@ The paper's ORB-SLAM2 lost .76 tracks a scene in FRONT, .74 in BACK, 5.83 in BAC
 4.68 with retrained vocabularies), 14.3 in all; here 2.0 in all: simulated streets have sharp corners. But it errs three
 to fifteen times as much as the cameras' own odometry, most in the side views of the fast scene, where single
 steps are wrong by three degrees and half of the steps of BACK_RIGHT are not told. With `paper` on the first of the
-scenes (15 of the 19 levels fit) it is no better: RMS .0186 against .0185 deg in FRONT, .100 against .086 in BACK_RIGHT, two
-lost tracks instead of one. A scene of one camera takes about 75 s on two busy cores.
+scenes (15 of the 19 levels fit) it is no better: RMS .0186 against .0185 deg in FRONT, .100 against .086 in BACK_RIGHT,
+two lost tracks instead of one. A scene of one camera takes about 75 s on two busy cores.
 
 ## LEARNED: our odometry behind learned corners
 
