@@ -33,7 +33,6 @@ from docs._pages.odometry_pictures import (
 from mixo_env.experts.expert import CameraStep, State
 from mixo_env.experts.monocular.camera import mount
 from mixo_env.experts.monocular.config import MonocularConfig
-from mixo_env.experts.monocular.front_end import OrbFrontEnd
 from mixo_env.experts.monocular.pair import PairSolver
 from mixo_env.simulator.city.vehicles import VEHICLE_KINDS, VehicleState
 from tests.corridor import AXES, HEIGHT, WIDTH, calibration, picture
@@ -49,7 +48,7 @@ def view() -> PairView:
     dx, dy = camera_displacement(TURN_RAD, DISTANCE_M, 0.0, 0.0)
     images = picture(camera, 0.0, 0.0, 0.0), picture(camera, dx, dy, TURN_RAD, 1)
     config = MonocularConfig()
-    solver = PairSolver(mount(camera, config.max_pixels), config, OrbFrontEnd(config))
+    solver = PairSolver(mount(camera, config.max_pixels), config)
     return compare("CAM_TEST", solver, images, 0.083, DISTANCE_M, TURN_RAD)
 
 

@@ -32,7 +32,6 @@ from mixo_env.errors import MixoError
 from mixo_env.experts.expert import CameraStep
 from mixo_env.experts.monocular.camera import mount
 from mixo_env.experts.monocular.config import PRESETS, MonocularConfig
-from mixo_env.experts.monocular.front_end import OrbFrontEnd
 from mixo_env.experts.monocular.odometry import MonocularOdometry
 from mixo_env.experts.monocular.pair import PairSolver
 from mixo_env.files import atomic_path, write_text
@@ -93,7 +92,7 @@ def pair_at(drive: Drive, time_s: float, config: MonocularConfig) -> tuple[int, 
     """The number of the first image after ``time_s`` that has a next one, and how the odometry sees the two."""
     time = 1e-6 * (drive.timestamp_us - drive.timestamp_us[0])
     i = min(int(np.searchsorted(time, time_s)), len(time) - 2)
-    solver = PairSolver(mount(drive.calibration, config.max_pixels), config, OrbFrontEnd(config))
+    solver = PairSolver(mount(drive.calibration, config.max_pixels), config)
     images = drive.read(drive.image_paths[i]), drive.read(drive.image_paths[i + 1])
     view = compare(
         drive.calibration.channel,

@@ -74,7 +74,7 @@ def compare(
 ) -> PairView:
     """Look at two grey images ``(height, width)`` as the odometry does."""
     camera = solver.camera
-    first, second = (solver.front_end.frame(camera.shrink(image)) for image in images)
+    first, second = (solver.frame(camera.shrink(image)) for image in images)
     pair = solver.compare(first, second, gap_s, distance_m)
     return PairView(
         name,

@@ -238,7 +238,6 @@ def _odometry_inliers(
     """Pixels of the matches on which the project's odometry bases its motion, in both pictures."""
     from mixo_env.experts.monocular.camera import mount
     from mixo_env.experts.monocular.config import MonocularConfig
-    from mixo_env.experts.monocular.front_end import OrbFrontEnd
     from mixo_env.experts.monocular.pair import PairSolver
 
     height, width = grays[0].shape
@@ -246,8 +245,8 @@ def _odometry_inliers(
         calibration.channel, intrinsic, calibration.rotation_ego_from_camera, calibration.translation_m, width, height
     )
     config = MonocularConfig()
-    solver = PairSolver(mount(seen, config.max_pixels), config, OrbFrontEnd(config))
-    frames = [solver.front_end.frame(solver.camera.shrink(gray)) for gray in grays]
+    solver = PairSolver(mount(seen, config.max_pixels), config)
+    frames = [solver.frame(solver.camera.shrink(gray)) for gray in grays]
     pair = solver.compare(frames[0], frames[1], gap_s, way_m)
     if pair.motion is None:
         return np.empty((0, 2)), np.empty((0, 2))

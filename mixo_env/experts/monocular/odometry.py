@@ -12,7 +12,7 @@ from mixo_env.experts.monocular.bundle import turn_change
 from mixo_env.experts.monocular.camera import MountedCamera, check_input, mount
 from mixo_env.experts.monocular.config import MonocularConfig
 from mixo_env.experts.monocular.course import Course
-from mixo_env.experts.monocular.front_end import Frame, FrontEnd, OrbFrontEnd
+from mixo_env.experts.monocular.front_end import Frame, FrontEnd
 from mixo_env.experts.monocular.heading import Heading
 from mixo_env.experts.monocular.motion import Motion, estimate_motion
 from mixo_env.experts.monocular.pair import Pair, PairSolver
@@ -70,7 +70,7 @@ class MonocularOdometry:
     ) -> None:
         self.config = config or MonocularConfig()
         self.camera: MountedCamera = mount(calibration, self.config.max_pixels)
-        self._solver = PairSolver(self.camera, self.config, front_end or OrbFrontEnd(self.config))
+        self._solver = PairSolver(self.camera, self.config, front_end)
         self._course = Course(self.config.slip_std, self.config.course_spread)
         self._turn = Turn(self.config.yaw_acceleration_radps2)
         self.pair: Pair | None = None
@@ -111,7 +111,7 @@ class MonocularOdometry:
         if last is not None and abs(distance_m) > _FROZEN_DISTANCE_M and np.array_equal(working, last):
             self._previous = None  # the time of a frozen image is unknown: nothing may be compared with it
             return self._close(None, gap_s, distance_m)
-        frame = self._previous = self._solver.front_end.frame(working)
+        frame = self._previous = self._solver.frame(working)
         if previous is None or gap_s > self.config.max_gap_s:
             return self._close(None, gap_s, distance_m)
         self.pair = self._solver.compare(previous, frame, gap_s, distance_m)

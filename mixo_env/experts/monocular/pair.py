@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from mixo_env.experts.monocular.alignment import align_matches
 from mixo_env.experts.monocular.camera import MountedCamera
 from mixo_env.experts.monocular.config import MonocularConfig
-from mixo_env.experts.monocular.front_end import Frame, FrontEnd
+from mixo_env.experts.monocular.front_end import Frame, FrontEnd, OrbFrontEnd
 from mixo_env.experts.monocular.motion import Motion, MotionPrior, estimate_motion
 
 _NEAREST_M = 4.0  # search windows allow for points this near
@@ -40,10 +40,15 @@ class Pair:
 
 
 class PairSolver:
-    """Compares images of one camera."""
+    """Compares images of one camera; corners are ORB features unless another front end is given."""
 
-    def __init__(self, camera: MountedCamera, config: MonocularConfig, front_end: FrontEnd) -> None:
-        self.camera, self.config, self.front_end = camera, config, front_end
+    def __init__(self, camera: MountedCamera, config: MonocularConfig, front_end: FrontEnd | None = None) -> None:
+        self.camera, self.config = camera, config
+        self._front_end = front_end or OrbFrontEnd(config)
+
+    def frame(self, image: NDArray[np.uint8]) -> Frame:
+        """Corners of an image ``(height, width)`` at working resolution."""
+        return self._front_end.frame(image)
 
     def compare(self, first: Frame, second: Frame, gap_s: float, distance_m: float) -> Pair:
         """Motion of the car from the first to the second image.
@@ -67,7 +72,7 @@ class PairSolver:
             heave_std=config.slip_std,
         )
         radius = (prior.max_yaw_rad + abs(distance_m) / _NEAREST_M) / camera.pixel_size + 8.0
-        i, j = self.front_end.match(first, second, radius)
+        i, j = self._front_end.match(first, second, radius)
         p1, p2 = first.position_px[i], second.position_px[j]
         flow = float(np.median(np.hypot(*(p2 - p1).T))) * 2**camera.halvings if len(i) else math.nan
         corner = np.stack([i, j], axis=1)
