@@ -70,7 +70,7 @@ class EpisodeGif:
             "optimize": True,
         }
         with atomic_path(self.out) as temporary:
-            drawn[0].save(temporary, format="GIF", optimize=True, **moving)
+            drawn[0].save(temporary, format="GIF", **moving)
         print(f"wrote {self.out}: {len(drawn)} frames, {self.out.stat().st_size / 1024:.0f} KiB")
         return 0
 

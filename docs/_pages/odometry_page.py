@@ -24,6 +24,7 @@ import tyro
 from numpy.typing import NDArray
 
 from docs._pages.experts_section import experts_section
+from docs._pages.joint_section import JOINT_TEXT
 from docs._pages.odometry_pictures import NEAREST_M, PairView, Track, compare, draw_frames, draw_pairs, draw_states
 from experiments.calibration import collect, draw
 from experiments.speed.drives import Drive, open_drives
@@ -299,66 +300,13 @@ nuScenes folder or a KITTI sequence, beside ORB-SLAM3 where that is installed, a
 distance (`--rescale`); errors are against the simulator's exact truth, or the poses of real data.
 `python -m experiments.speed.matching` compares the matcher with brute force. The pictures of this page were made
 with exact distances.
-
-## JOINT: all cameras in one estimate
-
-`mixo record --experts JOINT` also solves all cameras together (`mixo_env/experts/joint/`): what the single cameras
-have matched, at most 300 matches of each, in one least-squares problem per step. Shared by the body are the yaw rate
-at three closing times, linear in between, so that each camera is seen at its own image times; pitch and roll rate;
-slip and heave. Each camera has an offset of its mounting, learnt slowly, and a yaw error of its own with heavy tails
-(Student-t, three degrees of freedom) whose width follows from what its matches know. A tilt of the body swings the
-cameras too. What three images of a camera say about the change of its turn enters beside the pairs. A camera that
-contradicts the others has no say in that step, nor has one whose picture stands still while the car drives; one whose
-learnt offset stays beyond a degree is misplaced: named, and left out from then on. No gyro and no pose enters. JOINT is
-a row of the leaderboard where it was recorded; it never votes and enters no oracle.
-
-At the end of each step the increment of the rig leans half of the way towards what the cameras' own odometries have
-reported for their windows (`headings.py`: Student-t, by their standard deviations). So JOINT is no purely tight
-coupling: the row *rig alone* is. Both come from the same matches but err differently, and together they are better
-than either.
-
-Relative rotation error [deg/m] against exact truth, every second day scene of two cities, one of each log. Weights were
-chosen on the first ten scenes of seed 101, after all 20 had shown that most other weights make no difference beyond
-chance; seed 102 was not used for it. Measured before the contradiction of a sure camera was judged as it is now:
-
-| | seed 101, 20 scenes | turning (6) | straight | seed 102, 20 scenes | turning (10) | straight | its first 12 |
-|---|---|---|---|---|---|---|---|
-| CAM_FRONT | .00208 | .00242 | .00184 | .00414 | .00548 | .00241 | .00213 |
-| CAM_FRONT_LEFT | .00494 | .00509 | .00484 | .00474 | .00425 | .00538 | .00491 |
-| CAM_BACK | .00368 | .00326 | .00397 | .00333 | .00304 | .00371 | .00309 |
-| CAM_BACK_RIGHT | .01288 | .01315 | .01269 | .01369 | .01549 | .01137 | .01049 |
-| HUBER of the four | .00191 | .00210 | .00178 | .00242 | .00278 | .00195 | .00172 |
-| rig alone | .00158 | .00148 | .00165 | .00226 | .00284 | .00151 | .00169 |
-| JOINT | .00147 | .00137 | .00154 | .00198 | .00247 | .00134 | .00141 |
-
-JOINT is 29 % below the best single camera in seed 101 (95 % interval over logs 14 to 43) and 41 % in seed 102 (16 to
-60; CAM_FRONT broke down there in a later scene), and 23 % (9 to 38) and 18 % (8 to 30) below HUBER, in turns as on
-straight roads. Increments lie within 1 (1.96) of their standard deviations in 79 and 78 % (98 and 97 %). Single
-increments are still noisier than HUBER's (.0074 against about .005 deg). The solve costs
-2.9 ms of CPU time in the median, 3.1 to 4 ms with the stateless one beside it, and each camera's image about 7 ms.
-
-What limits it: each camera's error has a part that lasts for seconds (CAM_BACK drifts .001 deg per step to the left in
-nearly every scene; the cause is spread over the picture and was not found). Widening the errors of single cameras
-for it helps in one half of a city as much as it harms in the other.
-
-With one camera spoilt, eight scenes of seed 101 (JOINT .00171); the captured camera's own odometry is taken to be
-deceived as well:
-
-| camera | left out (a black picture) | sees a vehicle turn by .23 deg a step for 4 s | picture stands still for 4 s |
-|---|---|---|---|
-| CAM_FRONT | .00314 | .00243 | .00203 |
-| CAM_FRONT_LEFT | .00166 | .00177 | .00174 |
-| CAM_BACK | .00189 | .00267 | .00212 |
-| CAM_BACK_RIGHT | .00152 | .00165 | .00170 |
-
-A captured CAM_BACK costs 41 % over the remaining three; the others at most 9 %, standing pictures at most 12 %.
 """
 
 
 def page() -> str:
     """The text of the page."""
     own = TEXT.format(nearest=NEAREST_M, signals=signals_table(), settings=settings_table())
-    return own + experts_section(collect(load_recordings()))
+    return own + JOINT_TEXT + experts_section(collect(load_recordings()))
 
 
 def _save(figure: Figure, path: Path, dpi: int) -> None:

@@ -9,6 +9,7 @@ import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -121,19 +122,7 @@ def run_orbslam3(
             "vocabulary": str(vocabulary),
             "result": str(folder / "result.json"),
         }
-        run = subprocess.run(
-            [str(python), str(Path(__file__).with_name("orbslam3_api.py"))],
-            input=json.dumps(job),
-            capture_output=True,
-            text=True,
-            check=False,
-            cwd=folder,
-            env={**os.environ, "OMP_NUM_THREADS": "1"},
-        )
-        if run.returncode != 0 or not (folder / "result.json").exists():
-            last = (run.stderr or run.stdout).strip().splitlines()[-1:]
-            raise MixoError(f"ORB-SLAM3 ended with code {run.returncode}: {' '.join(last) or 'no message'}")
-        result = json.loads((folder / "result.json").read_text(encoding="ascii"))
+        result = _served(python, folder, job)
     lost = np.full((4, 4), np.nan)
     pose = np.array([lost if found is None else found for found in result["poses"]], np.float64)
     return OrbRun(
@@ -145,6 +134,23 @@ def run_orbslam3(
         np.array(result["late_s"]),
         1e3 * result["process_s"] / len(times_s),
     )
+
+
+def _served(python: Path, folder: Path, job: dict[str, Any]) -> dict[str, Any]:
+    """What the peer's process answers to a job, in a temporary folder."""
+    run = subprocess.run(
+        [str(python), str(Path(__file__).with_name("orbslam3_api.py"))],
+        input=json.dumps(job),
+        capture_output=True,
+        text=True,
+        check=False,
+        cwd=folder,
+        env={**os.environ, "OMP_NUM_THREADS": "1"},
+    )
+    if run.returncode != 0 or not (folder / "result.json").exists():
+        last = (run.stderr or run.stdout).strip().splitlines()[-1:]
+        raise MixoError(f"ORB-SLAM3 ended with code {run.returncode}: {' '.join(last) or 'no message'}")
+    return json.loads((folder / "result.json").read_text(encoding="ascii"))
 
 
 def _yaml(intrinsic: FloatArray, shape: tuple[int, ...], rate_hz: float, settings: OrbSettings) -> str:
