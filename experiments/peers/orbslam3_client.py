@@ -51,7 +51,7 @@ class OrbRun:
         matches: ``(n,)`` map points tracked in each image; 0 unless its state is OK.
         tracking_ms: ``(n,)`` CPU of the thread that tracks.
         late_s: ``(n,)`` how long after its due time each image was handed over.
-        process_ms: CPU of the whole process per image: tracking, mapping and loop closing.
+        process_ms: CPU of the whole process per image: tracking and mapping.
     """
 
     rotation: FloatArray
@@ -103,7 +103,7 @@ def run_orbslam3(
         vocabulary: DBoW2 text file, see :mod:`experiments.peers.orbslam3_words`.
         settings: of its extractor.
         pace: share of real time at which images are handed over, below 1 on a machine that does other things; ``None``
-            hands each over as soon as the work on those before it is done.
+            hands each over when mapping is at rest, or has had a processor for one interval since the last.
 
     Raises:
         MixoError: ORB-SLAM3 died.
