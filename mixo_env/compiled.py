@@ -33,6 +33,7 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 _PACKAGE = Path(__file__).parent
 _STARTED_NS = time.time_ns()
+_TICK_NS = 50_000_000  # files are dated by the kernel's coarse clock, which runs up to some ticks of 10 ms behind
 _UNUSED_S = 7 * 86400.0
 _LOCK = threading.Lock()
 
@@ -148,7 +149,7 @@ def cache_folder(source: Path, base: str) -> Path | None:
     """
     try:
         files = import_closure(source)
-        if any(path.stat().st_mtime_ns > _STARTED_NS for path in files):
+        if any(path.stat().st_mtime_ns > _STARTED_NS - _TICK_NS for path in files):
             return None
         digest = hashlib.blake2b(np.__version__.encode(), digest_size=8)  # global arrays are made by numpy
         for path in files:

@@ -45,8 +45,8 @@ def seen_at(drives: Recordings, policy: Token, step: int = 5):
 
 def layers(seed: int, width: int = SIGNALS + WHOLE, hidden: int = 8) -> deepset.Layers:
     rng = np.random.default_rng(seed)
-    shapes = ((hidden, width), (hidden, hidden), (hidden, 2 * hidden), (1, hidden))
-    return tuple((rng.normal(size=s).astype(np.float32), rng.normal(size=s[:1]).astype(np.float32)) for s in shapes)
+    shapes = ((width, hidden), (hidden, hidden), (2 * hidden, hidden), (hidden, 1))
+    return tuple((rng.normal(size=s).astype(np.float32), rng.normal(size=s[1:]).astype(np.float32)) for s in shapes)
 
 
 def told(rng: np.random.Generator, batch: int, experts: int):
@@ -88,7 +88,7 @@ def test_the_compiled_network_is_that_of_torch_before_it_was_folded() -> None:
     with torch.no_grad():
         added = deepset._forward(network, torch.tensor((x - mean) / std).float(), torch.tensor(voting)).numpy()
     expected = np.where(voting, consensus * np.exp(added), 0.0)
-    trained = tuple((layer.weight.detach().numpy(), layer.bias.detach().numpy()) for layer in network)
+    trained = tuple((layer.weight.detach().numpy().T.copy(), layer.bias.detach().numpy()) for layer in network)
     weights = weigh(
         folded(trained, mean.astype(np.float32), std.astype(np.float32)), (signals, whole, consensus), voting
     )

@@ -36,7 +36,6 @@ class BiasFilter(Policy):
 
     name = "BIAS FILTER"
     learns = True
-    _recent = Recent(0, 0)
 
     def fit(self, training: Recordings, track: str, *, seed: int = 0) -> None:
         """Measure errors and drift."""
@@ -74,13 +73,10 @@ class BiasFilter(Policy):
     def _adopt(self, drift: Drift, calibration: Calibration) -> None:
         self._drift, self._calibration = drift, calibration
         self._constants = np.stack(list(drift.tensors().values()))
-        self.reset(0)
 
     def _hear(self, observation: Observation) -> tuple[tuple[FloatArray, FloatArray, NDArray[np.bool_]], FloatArray]:
         """Increments and their present standard deviations [rad] ``(batch, experts)``, who votes; dt ``(batch,)``."""
         apart, std, known = agreement(observation, self._calibration)
-        if not self._recent.fits(apart):
-            self.reset(len(apart))
         scale = np.maximum(self._recent.update(apart, known), BEST_SCALE)
         dt = observation["dt"][:, 0].astype(np.float64)
         return (observation["yaw_rates"] * dt[:, None], std * scale, known), dt

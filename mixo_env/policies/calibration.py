@@ -125,15 +125,29 @@ def _summed(past: Past, std: FloatArray, steps: int) -> FloatArray:
     """
     with np.errstate(invalid="ignore"):
         alone = robust_std(past.error_rad / std)
-    told = np.isfinite(past.error_rad) & np.isfinite(std)
-    size = np.where(told, past.error_rad, 0.0), np.where(told, std, 0.0) ** 2, 1.0 * told
-    error, variance, count = (np.concatenate([np.zeros((1, x.shape[1])), np.cumsum(x, axis=0)]) for x in size)
-    starts = [np.arange(a + 1, b - steps + 1) for a, b in itertools.pairwise(past.offsets)]  # row 0 is no step
-    first = np.concatenate([np.zeros(0, np.int64), *starts])
-    whole = count[first + steps] - count[first] == steps
-    with np.errstate(invalid="ignore", divide="ignore"):
-        ratio = (error[first + steps] - error[first]) / np.sqrt(variance[first + steps] - variance[first])
-    return np.where(whole.sum(axis=0) < FEWEST, alone, robust_std(np.where(whole, ratio, np.nan)))
+        told = np.isfinite(std)
+        error = window_sums(np.where(told, past.error_rad, np.nan), past.offsets, steps)
+        ratio = error / np.sqrt(window_sums(std**2, past.offsets, steps))
+    return np.where(np.isfinite(ratio).sum(axis=0) < FEWEST, alone, robust_std(ratio))
+
+
+def window_sums(values: FloatArray, offsets: NDArray[np.int64], steps: int) -> FloatArray:
+    """Sums over all ``steps`` consecutive steps of a scene.
+
+    Args:
+        values: ``(rows, n)``; row 0 of a scene is no step.
+        offsets: ``(scenes + 1,)`` rows of the scenes.
+        steps: 1 or more.
+
+    Returns:
+        ``(windows, n)``; NaN where one of the steps is.
+    """
+    told = np.isfinite(values)
+    parts = np.where(told, values, 0.0), 1.0 * told
+    total, known = (np.concatenate([np.zeros((1, part.shape[1])), np.cumsum(part, axis=0)]) for part in parts)
+    starts = [np.arange(first + 1, stop - steps + 1) for first, stop in itertools.pairwise(offsets)]
+    at = np.concatenate([np.zeros(0, np.int64), *starts])
+    return np.where(known[at + steps] - known[at] == steps, total[at + steps] - total[at], np.nan)
 
 
 @compiled

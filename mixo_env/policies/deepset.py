@@ -20,10 +20,9 @@ if TYPE_CHECKING:
     from torch import nn
 
 FloatArray = NDArray[np.float64]
-Matrix = NDArray[np.float32]
-Vector = NDArray[np.float32]
-Layers = tuple[tuple[NDArray[np.float32], NDArray[np.float32]], ...]
-"""Weight ``(outputs, inputs)`` and bias of the four dense layers."""
+Single = NDArray[np.float32]
+Layers = tuple[tuple[Single, Single], ...]
+"""Weight ``(inputs, outputs)`` and bias of the four dense layers."""
 
 LEAST_WEIGHT = 1e-9
 """Of the consensus, whose logarithm is taken."""
@@ -35,13 +34,11 @@ GRADIENT_NORM = 1.0
 def folded(layers: Layers, mean: NDArray[np.float32], std: NDArray[np.float32]) -> Layers:
     """The same network on inputs that are not standardised."""
     (weight, bias), *rest = layers
-    scaled = (weight / std).astype(np.float32)
-    return ((scaled, (bias - scaled @ mean).astype(np.float32)), *rest)
+    scaled = (weight / std[:, None]).astype(np.float32)
+    return ((scaled, (bias - mean @ scaled).astype(np.float32)), *rest)
 
 
-def weigh(
-    layers: Layers, told: tuple[NDArray[np.float32], NDArray[np.float32], FloatArray], voting: NDArray[np.bool_]
-) -> FloatArray:
+def weigh(layers: Layers, told: tuple[Single, Single, FloatArray], voting: NDArray[np.bool_]) -> FloatArray:
     """Softmax over the voters of log consensus + what the network adds, ``(batch, experts)``.
 
     Args:
@@ -49,36 +46,31 @@ def weigh(
         told: signals ``(batch, experts, n)``, whole ``(batch, m)`` and consensus ``(batch, experts)``.
         voting: ``(batch, experts)``; one that is false has no weight.
     """
-    (first, a), (second, b), (third, c), (last, d) = layers
     weights = np.empty(voting.shape)
-    _weigh(told, voting, (first.T.copy(), second.T.copy(), third.T.copy(), last.T.copy()), (a, b, c, d), weights)
+    _weigh(told, voting, layers, weights)
     return weights
 
 
 @compiled
 def _weigh(
-    told: tuple[NDArray[np.float32], NDArray[np.float32], FloatArray],
-    voting: NDArray[np.bool_],
-    matrices: tuple[Matrix, Matrix, Matrix, Matrix],
-    biases: tuple[Vector, Vector, Vector, Vector],
-    weights: FloatArray,
+    told: tuple[Single, Single, FloatArray], voting: NDArray[np.bool_], layers: Layers, weights: FloatArray
 ) -> None:
-    """:func:`weigh` with matrices ``(inputs, outputs)``: sums run along the outputs, several at once."""
+    """:func:`weigh`; sums run along the outputs of a layer, several at once."""
     signals, whole, consensus = told
-    first, second, third, last = matrices
+    (first, a), (second, b), (third, c), (last, d) = layers
     batch, experts, length = signals.shape
-    width = len(biases[0])
+    width = len(a)
     base, one = np.empty(width, np.float32), np.empty(width, np.float32)
     pooled, hidden = np.empty(width, np.float32), np.empty((experts, width), np.float32)
     number = np.empty(1, np.float32)
     for k in range(batch):
-        _dense(whole[k], first[length:], biases[0], base)
+        _dense(whole[k], first[length:], a, base)
         pooled[:] = 0.0
         count = np.float32(0.0)
         for e in range(experts):
             _dense(signals[k, e], first[:length], base, one)
             _rectify(one)
-            _dense(one, second, biases[1], hidden[e])
+            _dense(one, second, b, hidden[e])
             _rectify(hidden[e])
             if voting[k, e]:
                 count += np.float32(1.0)
@@ -86,12 +78,12 @@ def _weigh(
                     pooled[j] += hidden[e, j]
         for j in range(width):
             pooled[j] /= count
-        _dense(pooled, third[width:], biases[2], base)
+        _dense(pooled, third[width:], c, base)
         largest = -np.inf
         for e in range(experts):
             _dense(hidden[e], third[:width], base, one)
             _rectify(one)
-            _dense(one, last, biases[3], number)
+            _dense(one, last, d, number)
             weights[k, e] = math.log(max(consensus[k, e], LEAST_WEIGHT)) + number[0] if voting[k, e] else -np.inf
             largest = max(largest, weights[k, e])
         total = 0.0
@@ -103,7 +95,7 @@ def _weigh(
 
 
 @compiled
-def _dense(x: Vector, weight: Matrix, bias: Vector, out: Vector) -> None:
+def _dense(x: Single, weight: Single, bias: Single, out: Single) -> None:
     """Write ``x W + b``."""
     for j in range(len(out)):
         out[j] = bias[j]
@@ -113,7 +105,7 @@ def _dense(x: Vector, weight: Matrix, bias: Vector, out: Vector) -> None:
 
 
 @compiled
-def _rectify(x: Vector) -> None:
+def _rectify(x: Single) -> None:
     for j in range(len(x)):
         x[j] = max(x[j], np.float32(0.0))
 
@@ -165,7 +157,7 @@ def train(
         nn.utils.clip_grad_norm_(parameters, GRADIENT_NORM)
         optimiser.step()
         schedule.step()
-    return tuple((layer.weight.detach().numpy().copy(), layer.bias.detach().numpy().copy()) for layer in network)
+    return tuple((layer.weight.detach().numpy().T.copy(), layer.bias.detach().numpy().copy()) for layer in network)
 
 
 def heading_errors(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any
@@ -10,13 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mixo_env.policies.calibration import Calibration, FloatArray, Past, robust_std
+from mixo_env.policies.calibration import FEWEST, Calibration, FloatArray, Past, robust_std, window_sums
 from mixo_env.policies.storage import LARGEST
 
 WINDOWS = (1, 3, 10, 30, 100)
 """Steps over which errors are summed: white noise grows with their root, drift with their number."""
-FEWEST = 30
-"""Windows of one length that tell their spread."""
 MEMORIES = (3.0, 10.0, 30.0, 100.0, 300.0, 1000.0)
 """Candidates for the time constant of drift, in steps."""
 SHARES = (0.0, 0.01, 0.03, 0.1, 0.2, 0.4, 0.6, 0.8, 0.95)
@@ -129,25 +126,16 @@ def _slow_part(past: Past) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 def _spread_of_sums(error: FloatArray, offsets: NDArray[np.int64], window: int) -> FloatArray:
     """Robust standard deviation ``(experts,)`` of sums over ``window`` steps of one scene; infinite if too few."""
-    sums = []
-    for first, stop in itertools.pairwise(offsets):
-        scene = error[first + 1 : stop]
-        total = np.cumsum(np.vstack([np.zeros(error.shape[1]), np.nan_to_num(scene)]), axis=0)
-        gaps = np.cumsum(np.vstack([np.zeros(error.shape[1]), ~np.isfinite(scene)]), axis=0)
-        if len(scene) >= window:
-            whole = gaps[window:] == gaps[:-window]
-            sums.append(np.where(whole, total[window:] - total[:-window], np.nan))
-    if not sums:
-        return np.full(error.shape[1], np.inf)
-    values = np.concatenate(sums)
-    return np.where(np.isfinite(values).sum(axis=0) >= FEWEST, robust_std(values), np.inf)
+    sums = window_sums(error, offsets, window)
+    return np.where(np.isfinite(sums).sum(axis=0) >= FEWEST, robust_std(sums), np.inf)
 
 
 def _turn_share(turning: Past, calibration: Calibration) -> FloatArray:
     """Excess of the errors in turns over their calibrated deviations, as a share of the increment ``(experts,)``."""
     usual = np.where(np.isfinite(turning.stated_rad), turning.stated_rad * calibration.factor, calibration.std_rad)
+    usual = _median(np.where(np.isfinite(turning.error_rad), usual, np.nan))
     with np.errstate(invalid="ignore"):
-        excess = robust_std(turning.error_rad) ** 2 - robust_std(usual * np.isfinite(turning.error_rad) / 1.4826) ** 2
+        excess = robust_std(turning.error_rad) ** 2 - usual**2
     size = np.sqrt(np.nanmean(turning.truth_rad**2)) if np.isfinite(turning.truth_rad).any() else 0.0
     excess = np.where(np.isfinite(excess), np.maximum(excess, 0.0), 0.0)
     return np.sqrt(excess) / size if size > 0.0 else np.zeros(len(excess))

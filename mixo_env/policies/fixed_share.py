@@ -26,7 +26,6 @@ class FixedShare(Calibrated):
     """
 
     name = "FIXED SHARE"
-    _trust = np.zeros((0, 0))
 
     def reset(self, batch: int) -> None:
         """Everybody is trusted alike."""
@@ -35,8 +34,6 @@ class FixedShare(Calibrated):
     def act(self, observation: Observation) -> Weights:
         """Rows ``(batch, experts)`` that sum to one."""
         apart, std, known = agreement(observation, self._calibration)
-        if self._trust.shape != apart.shape:
-            self.reset(len(apart))
         surest = np.where(known, std, np.inf).min(axis=1, keepdims=True)
         loss = np.minimum(0.5 * apart**2 + np.log(np.where(known, std, 1.0) / surest), LARGEST_LOSS)
         posterior, self._trust, _ = share(self._trust, loss, known)

@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 from mixo_env.envs.replay import Replay
 from mixo_env.metrics.pairs import find_pairs, path_length
 from mixo_env.policies.calibration import Calibration
+from mixo_env.policies.playing import play
+from mixo_env.policies.robust import Mean
 from mixo_env.policies.tokens import UNIT_RAD, Memory, Seen, read, tokenise
 from mixo_env.recordings.collection import Recordings
 
@@ -77,16 +79,13 @@ def watch(training: Recordings, track: str, calibration: Calibration) -> tuple[S
     Counts keep their four kinds in front. What is seen does not depend on the weights, but for the previous yaw rate,
     which is no part of a token.
     """
-    replay = Replay(training, track=track, privileged=True, keep_trajectories=False)
-    replay.reset(np.arange(len(replay)))
-    weights = np.full((len(replay), len(replay.experts)), 1.0 / len(replay.experts))
+    anybody = Mean()
+    anybody.start(training.voters(track))
     steps, truth, active = [], [], []
-    while not replay.done.all():
-        active.append(~replay.done)
-        look = replay.observe()
+    for driving, look in play(anybody, Replay(training, track=track, privileged=True, keep_trajectories=False)):
+        active.append(driving)
         steps.append(read(look, calibration))
         truth.append((look["truth_yaw_rate"] * look["dt"])[:, 0].astype(np.float64) / UNIT_RAD)
-        replay.step(weights)
     counts = np.stack([step.counts for step in steps], axis=1)
     stacked = {name: np.stack([getattr(one, name) for one in steps]) for name in Seen._fields if name != "counts"}
     return Seen(**stacked, counts=counts), np.stack(truth), np.stack(active)

@@ -62,7 +62,7 @@ class Policy(abc.ABC):
         self.start(training.voters(track))
 
     def reset(self, batch: int) -> None:
-        """Forget the past: ``batch`` scenes start. Stateless policies inherit this and do nothing."""
+        """Forget the past: ``batch`` scenes start. Called before :meth:`act`; stateless policies do nothing."""
 
     def preview(self, observation: Observation, active: NDArray[np.bool_]) -> None:
         """See a step ``lag`` steps before it is decided, where scenes are still ``active``; not called if that is 0."""

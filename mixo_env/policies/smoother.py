@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixo_env.compiled import compiled
+from mixo_env.errors import PolicyError
 from mixo_env.fusion import FloatArray
 from mixo_env.policies.bias_filter import BiasFilter
 from mixo_env.policies.bias_steps import invert, point_at, step_row
@@ -140,10 +141,10 @@ class Smoother(BiasFilter):
         """Rows ``(batch, experts)`` that sum to one.
 
         Raises:
-            KeyError: for a step without :meth:`preview`.
+            PolicyError: for a step without :meth:`preview`.
         """
         if self._decided >= self._shown:
-            raise KeyError(f"the future: {self.name} needs `preview`, as mixo_env.policies.playing.play gives it")
+            raise PolicyError(f"{self.name} needs the future: show it by `preview`, as mixo_env.policies.playing does")
         dt = observation["dt"][:, 0].astype(np.float64)
         values = observation["yaw_rates"] * dt[:, None]
         weights = np.empty(values.shape)

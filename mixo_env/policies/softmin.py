@@ -31,10 +31,6 @@ class Recent:
         """Nobody has disagreed yet."""
         self._scale = np.ones((batch, experts))
 
-    def fits(self, apart: FloatArray) -> bool:
-        """Whether it belongs to so many scenes."""
-        return self._scale.shape == apart.shape
-
     def update(self, apart: FloatArray, known: NDArray[np.bool_]) -> FloatArray:
         """The scales with the present step counted in; arguments as :func:`agreement` gives them."""
         change = (MEAN_TO_SIGMA * np.abs(apart) - self._scale) / MEMORY
@@ -51,7 +47,6 @@ class Softmin(Calibrated):
     """
 
     name = "SOFTMIN"
-    _recent = Recent(0, 0)
 
     def reset(self, batch: int) -> None:
         """Nobody has disagreed yet."""
@@ -60,8 +55,6 @@ class Softmin(Calibrated):
     def act(self, observation: Observation) -> Weights:
         """Rows ``(batch, experts)`` that sum to one."""
         apart, std, known = agreement(observation, self._calibration)
-        if not self._recent.fits(apart):
-            self.reset(len(apart))
         scale = std * np.maximum(self._recent.update(apart, known), SMALLEST)
         weights = np.where(known, scale, np.inf) ** -SHARPNESS
         return weights / weights.sum(axis=1, keepdims=True)

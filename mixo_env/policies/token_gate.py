@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixo_env.policies.calibration import Calibration, Past
-from mixo_env.policies.deepset import Layers, folded, weigh
+from mixo_env.policies.deepset import Layers, folded, train, weigh
 from mixo_env.policies.lessons import lessons
 from mixo_env.policies.policy import Observation, Policy, Weights
 from mixo_env.policies.storage import finite
@@ -61,8 +61,6 @@ class Token(Policy):
         """Train on scenes as they are, mirrored and spoilt; same seed, same machine: same bits."""
         import torch
 
-        from mixo_env.policies.deepset import train
-
         experts = training.voters(track)
         self._know(experts, Calibration.fit(Past.read(training, experts)))
         super().fit(training, track)
@@ -99,9 +97,9 @@ class Token(Policy):
     def shapes(self, inputs: int) -> dict[str, tuple[int, ...]]:
         """Calibration and the four dense layers."""
         width, h = SIGNALS + WHOLE, self.hidden
-        sizes = ((h, width), (h, h), (h, 2 * h), (1, h))
+        sizes = ((width, h), (h, h), (2 * h, h), (h, 1))
         layers = {f"weight.{i}": size for i, size in enumerate(sizes)}
-        biases = {f"bias.{i}": size[:1] for i, size in enumerate(sizes)}
+        biases = {f"bias.{i}": size[1:] for i, size in enumerate(sizes)}
         return {**Calibration.shapes(len(self.experts)), **layers, **biases}
 
     def restore(self, tensors: Mapping[str, NDArray[Any]]) -> None:
