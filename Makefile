@@ -27,13 +27,13 @@ unit: .venv/installed
 integration: integrations site faults  ## minutes each; peers that are absent are skipped
 
 integrations: .venv/integrations  ## other libraries, programs and virtual environments
-	$(BIN)/python -m pytest -m "integration and not site and not faults"
+	$(BIN)/python -m pytest -n 2 --dist loadscope -m "integration and not site and not faults"
 
 site: .venv/integrations  ## README, pages and notebook, followed word by word
-	$(BIN)/python -m pytest -m site
+	$(BIN)/python -m pytest -n 2 --dist loadscope -m site
 
 faults: .venv/integrations  ## kills and damage at random
-	$(BIN)/python -m pytest -m faults
+	$(BIN)/python -m pytest -n 2 --dist loadscope -m faults
 
 # Machine code leaves no trace, so the second run takes the kernels as plain Python, on tests with tiny inputs;
 # a drive through the image front end is none of these.
