@@ -24,11 +24,25 @@ def test_help_tells_of_version_and_completion() -> None:
     assert "mixo --tyro-print-completion bash" in " ".join(done.stdout.split())
 
 
-@pytest.mark.parametrize("shell", ["bash", "zsh"])
+@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
 def test_completion_scripts_know_the_subcommands(shell: str) -> None:
     done = subprocess.run([*MIXO, "--tyro-print-completion", shell], capture_output=True, text=True, check=False)
     assert done.returncode == 0
     assert "train-vocabulary" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "advice"),
+    [
+        (["--tyro-print-completion", "tcsh"], "bash, zsh and fish"),
+        (["--tyro-write-completion", "bash", "/no/x"], "folder"),
+    ],
+    ids=["unknown shell", "unknown folder"],
+)
+def test_a_completion_that_cannot_be_written_is_one_line(arguments: list[str], advice: str) -> None:
+    done = subprocess.run([*MIXO, *arguments], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1)
+    assert advice in done.stderr
 
 
 @pytest.mark.parametrize("arguments", [["--help"], ["--version"], ["benchmark", "--help"]], ids=" ".join)

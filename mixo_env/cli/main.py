@@ -11,7 +11,7 @@ DESCRIPTION = """MixoOdometry: how much to trust each camera of a car's rig.
 
 `mixo benchmark` needs nothing; `mixo COMMAND --help` shows worked examples. Exit codes: 0 good, 1 something wrong in
 the data, 2 wrong usage. `-v` says more about what happens, `--version` which version this is. Completion by the tab
-key: `source <(mixo --tyro-print-completion bash)` (or zsh, tcsh).
+key: `source <(mixo --tyro-print-completion bash)` (or zsh, fish).
 """
 
 
@@ -93,12 +93,17 @@ def run(arguments: list[str]) -> int:
     logging.basicConfig(handlers=[handler], level=logging.INFO if verbose else logging.WARNING)
     left = "nothing was done"
     try:
-        command: Command = tyro.extras.subcommand_cli_from_dict(
-            commands(),
-            prog="mixo",
-            description=DESCRIPTION,
-            args=[argument for argument in arguments if argument != "-v"],
-        )
+        try:
+            command: Command = tyro.extras.subcommand_cli_from_dict(
+                commands(),
+                prog="mixo",
+                description=DESCRIPTION,
+                args=[argument for argument in arguments if argument != "-v"],
+            )
+        except ImportError as error:
+            raise ConfigurationError("completion is written for bash, zsh and fish: name one of these") from error
+        except OSError as error:
+            raise ConfigurationError(f"the completion was not written: {error}: name a folder that exists") from error
         left = command.interrupted
         return command.run()
     except ConfigurationError as error:
