@@ -102,6 +102,8 @@ def run(arguments: list[str]) -> int:
             )
         except ImportError as error:
             raise ConfigurationError("completion is written for bash, zsh and fish: name one of these") from error
+        except BrokenPipeError:
+            raise
         except OSError as error:
             raise ConfigurationError(f"the completion was not written: {error}: name a folder that exists") from error
         left = command.interrupted
