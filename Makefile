@@ -38,12 +38,16 @@ faults: .venv/integrations  ## kills and damage at random
 # Machine code leaves no trace, so the second run takes the kernels as plain Python, on tests with tiny inputs;
 # a drive through the image front end is none of these.
 TRACED := $(wildcard tests/test_metrics_*.py tests/test_envs_*.py tests/test_recordings_*.py tests/test_policies_*.py)
-TRACED += tests/test_baselines_rules.py tests/test_baselines_learning.py tests/test_sequences.py tests/test_pose_lag.py tests/test_pose_lag_fit.py tests/test_fusion.py
+TRACED += $(wildcard tests/test_faults_*.py tests/test_leaderboard_*.py tests/test_sequences*.py tests/test_pose_lag*.py)
+TRACED += tests/test_baselines.py tests/test_baselines_rules.py tests/test_baselines_learning.py tests/test_fusion.py
+TRACED += tests/test_cli_export.py tests/test_cli_record.py tests/test_track_unequal.py
+LIBRARIES := tests/test_recordings_cluster.py tests/test_envs_integrations.py
 KERNELS := tests/test_envs_replay.py tests/test_envs_budget.py
 
-coverage: .venv/installed  ## branches of the plain Python and of the kernels that tests take, in four packages
+coverage: .venv/integrations  ## branches of the plain Python and of the kernels that tests take, in four packages
 	$(BIN)/coverage erase
 	$(BIN)/coverage run -m pytest -m "not integration" $(TRACED)
+	$(BIN)/coverage run --append -m pytest $(LIBRARIES)
 	NUMBA_DISABLE_JIT=1 $(BIN)/coverage run --append -m pytest -m "not integration" -k "not really_switched" $(KERNELS)
 	$(BIN)/coverage report
 	$(BIN)/coverage json --quiet

@@ -206,3 +206,49 @@ def test_hostile_and_broken_zips_are_one_line_and_run_nothing(tmp_path: Path, wa
         read_network(path, Network(), Asking())
     assert str(error.value).isprintable()
     assert not (tmp_path / "ran").exists()
+
+
+def altered(path: Path, **values: Any) -> None:
+    """The same zip with other values in its JSON."""
+    with zipfile.ZipFile(path) as archive:
+        data = json.loads(archive.read("data"))
+    rewritten(path, data=json.dumps(data | values).encode())
+
+
+def test_a_network_of_another_kind_says_what_it_is(tmp_path: Path) -> None:
+    import torch
+
+    _, path = saved(tmp_path, "PPO", False)
+    act, _ = read_network(path, Network(), Asking())
+    with pytest.raises(PolicyError, match="expected observations of 7 numbers, got 6"):
+        act(np.zeros((1, 6), np.float32))
+    with pytest.raises(ConfigurationError, match="a network takes flat observations, got 'dict'"):
+        read_network(path, Network(), Asking(observation="dict"))
+    with pytest.raises(ConfigurationError, match="algorithm: expected one of .*, got 'TRPO'"):
+        read_network(path, Network(algorithm="TRPO"), Asking())  # type: ignore[arg-type]
+    with pytest.raises(PolicyError, match="expected dense layers .*, found none"):
+        read_network(path, Network(algorithm="DQN"), Asking(weights="select"))
+    altered(path, policy_kwargs={"activation_fn": "<class 'torch.nn.GELU'>"})
+    with pytest.raises(PolicyError, match="expected tanh or relu between layers"):
+        read_network(path, Network(), Asking())
+    read_network(path, Network(activation="tanh"), Asking())
+    altered(path, use_sde=True)
+    with pytest.raises(PolicyError, match="got use_sde"):
+        read_network(path, Network(), Asking())
+    altered(path, use_sde=False)
+    picture = {"features_extractor.cnn.0.weight": torch.zeros(1), "action_net.weight": torch.zeros(4, 5)}
+    rewritten(path, pth=torch_bytes(picture))
+    with pytest.raises(PolicyError, match="got a features extractor"):
+        read_network(path, Network(), Asking(weights="select"))
+    rewritten(path, pth=torch_bytes([1, 2]))
+    with pytest.raises(PolicyError, match="expected JSON and tensors by name"):
+        read_network(path, Network(), Asking())
+
+
+def test_statistics_of_another_width_are_one_line(tmp_path: Path) -> None:
+    from safetensors.numpy import save_file
+
+    _, path = saved(tmp_path, "PPO", False)
+    save_file({"mean": np.zeros(3), "var": np.ones(3)}, tmp_path / "norm.safetensors")
+    with pytest.raises(PolicyError, match="expected mean and var of 7 numbers each"):
+        read_network(path, Network(statistics=tmp_path / "norm.safetensors"), Asking())

@@ -312,3 +312,71 @@ def test_files_without_times_need_them_once(tmp_path):
         made(folders, reading=Reading())
     with pytest.raises(TrajectoryError, match=r"expected the times of drive00 in drive00.txt"):
         made(folders, reading=Reading(times=tmp_path))
+
+
+def test_rules_that_cannot_hold_are_refused(tmp_path):
+    folders = write_set(tmp_path, {"A": 0.0}, sequences=1)
+    with pytest.raises(ConfigurationError, match="expected at least one expert"):
+        made({"groundtruth": folders["groundtruth"]})
+    with pytest.raises(ConfigurationError, match="'B' is none of the experts A"):
+        made(folders, despite=("B",))
+    for gap in (0.0, -1.0, float("nan")):
+        with pytest.raises(ConfigurationError, match="expected --max-gap-s above 0"):
+            made(folders, maximum_gap_s=gap)
+    for rate in (0.0, -1.0, float("nan"), float("inf")):
+        with pytest.raises(ConfigurationError, match="expected --rate in poses a second"):
+            Reading(rate_hz=rate)
+
+
+@pytest.mark.parametrize(
+    ("lines", "complaint"),
+    [
+        (["0 1", "1 1", "1 1"], "line 3: expected increasing times"),
+        (["0 1", "1 200", "2 1"], "line 2: expected a speed in m/s, got 200"),
+        (["1 2 3"], "expected `time speed` a line"),
+        (["5000 1", "5001 1"], "tells no distance"),
+    ],
+    ids=["back in time", "flying", "columns", "another day"],
+)
+def test_wheels_without_sense_are_one_line(tmp_path, lines, complaint):
+    folders = write_set(tmp_path, {"A": 0.0}, sequences=1)
+    (tmp_path / "wheels").mkdir()
+    (tmp_path / "wheels" / "drive00.txt").write_text("\n".join(lines) + "\n")
+    with pytest.raises(TrajectoryError, match=complaint):
+        made(folders, distance=str(tmp_path / "wheels"))
+
+
+def test_wheels_of_one_speed_a_pose_and_a_missing_file(tmp_path):
+    folders = write_set(tmp_path, {"A": 0.0}, sequences=2)
+    (tmp_path / "wheels").mkdir()
+    poses = len(read_numbers(next(iter(sorted(folders["groundtruth"].iterdir())))).values)
+    (tmp_path / "wheels" / "drive00.txt").write_text("8.4\n" * poses)
+    with pytest.raises(TrajectoryError, match="no wheel speeds for drive01"):
+        made(folders, distance=str(tmp_path / "wheels"))
+    (tmp_path / "wheels" / "drive01.txt").write_text("8.4\n" * poses)
+    recordings = made(folders, distance=str(tmp_path / "wheels"))
+    np.testing.assert_allclose(recordings.rows(0)["distance_m"][1:], 8.4 / RATE_HZ, rtol=1e-5)
+
+
+@pytest.mark.parametrize(
+    ("lines", "complaint"),
+    [
+        (["0 0"] * 400, "expected one time in seconds a line, got 2 columns"),
+        (["0", "1", "2"], "expected a time for each of the"),
+        ([f"{k}" for k in (0, 2, 1, *range(3, 2000))], "line 3: expected increasing times"),
+    ],
+    ids=["columns", "too few", "back in time"],
+)
+def test_times_without_sense_are_one_line(tmp_path, lines, complaint):
+    folders = write_set(tmp_path, {"A": 0.0}, sequences=1)
+    times = tmp_path / "times.txt"
+    times.write_text("\n".join(lines) + "\n")
+    with pytest.raises(TrajectoryError, match=complaint):
+        made(folders, reading=Reading(times=times))
+
+
+def test_an_expert_that_has_no_file_of_a_sequence_gives_it_no_distance(tmp_path):
+    folders = write_set(tmp_path, {"A": 0.0, "B": 0.0}, sequences=2)
+    (folders["A"] / "drive01.txt").unlink()
+    with pytest.raises(TrajectoryError, match="drive01: A tells no distance"):
+        made(folders, distance="A")
