@@ -224,9 +224,9 @@ def test_a_network_of_another_kind_says_what_it_is(tmp_path: Path) -> None:
         act(np.zeros((1, 6), np.float32))
     with pytest.raises(ConfigurationError, match="a network takes flat observations, got 'dict'"):
         read_network(path, Network(), Asking(observation="dict"))
-    with pytest.raises(ConfigurationError, match="algorithm: expected one of .*, got 'TRPO'"):
+    with pytest.raises(ConfigurationError, match=r"algorithm: expected one of .*, got 'TRPO'"):
         read_network(path, Network(algorithm="TRPO"), Asking())  # type: ignore[arg-type]
-    with pytest.raises(PolicyError, match="expected dense layers .*, found none"):
+    with pytest.raises(PolicyError, match=r"expected dense layers .*, found none"):
         read_network(path, Network(algorithm="DQN"), Asking(weights="select"))
     altered(path, policy_kwargs={"activation_fn": "<class 'torch.nn.GELU'>"})
     with pytest.raises(PolicyError, match="expected tanh or relu between layers"):
