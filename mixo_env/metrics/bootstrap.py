@@ -73,13 +73,13 @@ def resampled_means(sums: FloatArray, counts: FloatArray, resamples: int, seed: 
     """
     if len(sums) < 2:
         return np.empty((0, *sums.shape[1:]))
-    drawn = _drawn(len(sums), resamples, seed)
+    drawn = draws(len(sums), resamples, seed)
     return ((drawn @ sums).T / (drawn @ counts)).T
 
 
 @lru_cache(maxsize=4)
-def _drawn(groups: int, resamples: int, seed: int) -> FloatArray:
-    """``(resamples, groups)`` how often each group was drawn. Read only: every method of a table shares them."""
+def draws(groups: int, resamples: int, seed: int) -> FloatArray:
+    """``(resamples, groups)`` how often each was drawn. Read only: all methods of a table share them."""
     drawn = np.random.default_rng(seed).multinomial(groups, np.full(groups, 1.0 / groups), size=resamples)
     shared = drawn.astype(np.float64)
     shared.flags.writeable = False
