@@ -60,7 +60,7 @@ def rollout(policy: Policy, recordings: Recordings, track: str, *, privileged: b
     replay = Replay(recordings, track=track, experts=policy.experts, privileged=privileged)
     increments = np.full(recordings.offsets[-1], np.nan)
     row = recordings.offsets[:-1].copy()
-    for active, _ in play(policy, replay):
+    for active, *_ in play(policy, replay):
         row[active] += 1
         increments[row[active]] = replay.state["increment_rad"][active]
     return with_wheels(recordings, increments)

@@ -82,7 +82,7 @@ def watch(training: Recordings, track: str, calibration: Calibration) -> tuple[S
     anybody = Mean()
     anybody.start(training.voters(track))
     steps, truth, active = [], [], []
-    for driving, look in play(anybody, Replay(training, track=track, privileged=True, keep_trajectories=False)):
+    for driving, look, _ in play(anybody, Replay(training, track=track, privileged=True, keep_trajectories=False)):
         active.append(driving)
         steps.append(read(look, calibration))
         truth.append((look["truth_yaw_rate"] * look["dt"])[:, 0].astype(np.float64) / UNIT_RAD)

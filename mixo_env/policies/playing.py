@@ -8,15 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixo_env.envs.replay import Replay
-from mixo_env.policies.policy import Observation, Policy
+from mixo_env.policies.policy import Observation, Policy, Weights
 from mixo_env.recordings.collection import Recordings
 
 
-def play(policy: Policy, replay: Replay) -> Iterator[tuple[NDArray[np.bool_], Observation]]:
+def play(policy: Policy, replay: Replay) -> Iterator[tuple[NDArray[np.bool_], Observation, Weights]]:
     """Drive all scenes of ``replay`` in lockstep, once, to the end of the longest.
 
     Yields:
-        After each step: which scenes took it, ``(scenes,)``, and what the policy saw before it.
+        After each step: which scenes took it, ``(scenes,)``, what the policy saw before it, and its weights.
     """
     replay.reset(np.arange(len(replay)))
     policy.reset(len(replay))
@@ -26,8 +26,9 @@ def play(policy: Policy, replay: Replay) -> Iterator[tuple[NDArray[np.bool_], Ob
         if look_ahead is not None:
             next(look_ahead)
         observation = replay.observe()
-        replay.step(policy.act(observation))
-        yield active, observation
+        weights = policy.act(observation)
+        replay.step(weights)
+        yield active, observation, weights
 
 
 def _foresight(policy: Policy, replay: Replay) -> Iterator[None]:
@@ -51,5 +52,5 @@ def collect(recordings: Recordings, track: str, policy: Policy) -> Observation:
         Name -> ``(steps, width)``, step by step, the scenes of a step in order.
     """
     replay = Replay(recordings, track=track, privileged=True)
-    seen = [{name: values[active] for name, values in look.items()} for active, look in play(policy, replay)]
+    seen = [{name: values[active] for name, values in look.items()} for active, look, _ in play(policy, replay)]
     return {name: np.concatenate([look[name] for look in seen]) for name in seen[0]}
