@@ -17,6 +17,7 @@ from mixo_env.leaderboard.crossvalidation import UNFOLDED, CrossValidation, Run
 from mixo_env.leaderboard.firing_order import MOVING_MPS
 from mixo_env.metrics.bootstrap import RESAMPLES, resampled_means
 from mixo_env.policies.playing import play
+from mixo_env.policies.policy import Policy
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.truths import truths_of, with_truth
 
@@ -77,12 +78,19 @@ def played_weights(protocol: CrossValidation, run: Run, track: str) -> FloatArra
     recordings = with_truth(protocol.recordings, protocol.truths[0]) if run.privileged else protocol.recordings
     weights = np.full((recordings.offsets[-1], len(recordings.voters(track))), np.nan)
     for fold, policy in run.policies.items():
-        here = [fold in (UNFOLDED, scene.fold) for scene in recordings.scenes]
-        scenes = recordings.select(scenes=[s.name for s, tested in zip(recordings.scenes, here, strict=True) if tested])
-        row = recordings.offsets[:-1][here].copy()
-        for active, _, given in play(policy, Replay(scenes, track=track, privileged=run.privileged)):
-            row[active] += 1
-            weights[row[active]] = given[active]
+        here = [scene.name for scene in recordings.scenes if fold in (UNFOLDED, scene.fold)]
+        rows = np.repeat([scene.name in here for scene in recordings.scenes], np.diff(recordings.offsets))
+        weights[rows] = weights_of(policy, recordings.select(scenes=here), track, privileged=run.privileged)
+    return weights
+
+
+def weights_of(policy: Policy, recordings: Recordings, track: str, *, privileged: bool = False) -> FloatArray:
+    """``(rows, experts)`` weights of a prepared policy that plays these scenes; NaN in row 0 of each."""
+    weights = np.full((recordings.offsets[-1], len(recordings.voters(track))), np.nan)
+    row = recordings.offsets[:-1].copy()
+    for active, _, given in play(policy, Replay(recordings, track=track, privileged=privileged)):
+        row[active] += 1
+        weights[row[active]] = given[active]
     return weights
 
 
