@@ -23,6 +23,7 @@ from numpy.typing import NDArray
 from mixo_env.errors import MixoError, RecordingError
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.joint import JOINT
+from mixo_env.recordings.presets import data_label
 from mixo_env.recordings.store import load_recordings
 from mixo_env.recordings.truths import truths_of
 from mixo_env.tables import Column, Table
@@ -126,7 +127,7 @@ def study(recordings: Recordings, told: list[Told]) -> Table:
         row = [*inside, _rms(ratio), _rms(error), float(np.median(std))]
         rows.append([part.expert, part.condition, float(len(ratio)), *row])
     caption = (
-        f"Increments within their own standard deviations, {recordings.manifest.data_version}, {len(recordings)} "
+        f"Increments within their own standard deviations, {data_label(recordings.manifest)}, {len(recordings)} "
         "scenes, against exact truth; a calibrated expert has 68.3 and 95.0 %."
     )
     return Table(caption, COLUMNS, rows)

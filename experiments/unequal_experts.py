@@ -21,6 +21,7 @@ from mixo_env.errors import MixoError, RecordingError
 from mixo_env.leaderboard.evaluation import lost_tracks
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.joint import JOINT
+from mixo_env.recordings.presets import data_label
 from mixo_env.recordings.store import load_recordings
 from mixo_env.recordings.truths import truths_of
 from mixo_env.recordings.variants import as_variant
@@ -78,7 +79,7 @@ def study(recordings: Recordings) -> Table:
         size, driving = np.abs(error[told]), np.abs(error[told & moving])
         rows.append([expert, share, _lost(recordings, expert), *_spread(size), *_tail(driving)])
     caption = (
-        f"Errors of one step's yaw increment, {recordings.manifest.data_version}, {len(recordings)} scenes, against "
+        f"Errors of one step's yaw increment, {data_label(recordings.manifest)}, {len(recordings)} scenes, against "
         f"exact truth; moving: faster than {MOVING_MPS:g} m/s."
     )
     return Table(caption, COLUMNS, rows)
