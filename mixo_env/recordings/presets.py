@@ -15,8 +15,10 @@ OWN_SETTINGS = "own settings"
 
 def preset_of(settings: Mapping[str, Any]) -> str:
     """Name of the preset with these settings of ``MonocularConfig``, whatever the vocabulary; else OWN_SETTINGS."""
-    vocabulary = {"vocabulary": settings.get("vocabulary")}
-    return next((name for name, preset in PRESETS.items() if asdict(preset) | vocabulary == settings), OWN_SETTINGS)
+    named = {name: asdict(preset) | {"vocabulary": settings.get("vocabulary")} for name, preset in PRESETS.items()}
+    # A setting that came later is not known of an older recording.
+    known = [name for name, preset in named.items() if settings and settings.items() <= preset.items()]
+    return known[0] if known else OWN_SETTINGS
 
 
 def recorded_preset(manifest: Manifest) -> str | None:
