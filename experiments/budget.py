@@ -22,6 +22,7 @@ from mixo_env.envs.wrappers import standardise
 from mixo_env.files import atomic_path
 from mixo_env.policies.budget import Actions, BudgetPolicy, CameraSet, LinearByPattern, Played, greedy_order, play
 from mixo_env.recordings.collection import Recordings
+from mixo_env.recordings.presets import data_label
 from mixo_env.recordings.store import load_recordings
 
 
@@ -110,7 +111,7 @@ class BudgetStudy:
             )
             rows.append((kind, name, cost, yaw, ate))
         print(
-            f"track {self.track}, data {recordings.manifest.data_version}, {len(recordings)} scenes, {len(folds)} folds"
+            f"track {self.track}, data {data_label(recordings.manifest)}, {len(recordings)} scenes, {len(folds)} folds"
         )
         print(f"{'':22}{'':22}{'ms/step':>8} {'yaw RMSE [deg]':>15} {'ATE [m]':>8}")
         for kind, name, cost, yaw, ate in rows:

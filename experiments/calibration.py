@@ -10,7 +10,6 @@ deviation do not count; an expert that states none (TUTORIAL, imported ones with
 
 from __future__ import annotations
 
-import logging
 import math
 import sys
 from dataclasses import dataclass
@@ -20,14 +19,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mixo_env.errors import MixoError, RecordingError
+from experiments.studies import exact_turn, print_study
+from mixo_env.leaderboard.conditions import condition_of
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.joint import JOINT
+from mixo_env.recordings.presets import data_label
 from mixo_env.recordings.store import load_recordings
-from mixo_env.recordings.truths import truths_of
 from mixo_env.tables import Column, Table
-
-logger = logging.getLogger(__name__)
 
 FloatArray = NDArray[np.float64]
 
@@ -86,23 +84,14 @@ class CalibrationStudy:
         return study(recordings, told)
 
 
-def condition_of(conditions: tuple[str, ...]) -> str:
-    """The one a scene is counted under."""
-    return next((name for name in ("night", "rain") if name in conditions), "day")
-
-
 def collect(recordings: Recordings) -> list[Told]:
     """Errors and standard deviations of every expert that states any, by expert and condition.
 
     Raises:
         RecordingError: without exact truth.
     """
-    if "exact" not in truths_of(recordings):
-        raise RecordingError("expected recordings with exact truth, got none: poses of real drives err as experts do")
-    scenes = recordings.scenes
-    condition = np.repeat([condition_of(scene.conditions) for scene in scenes], np.diff(recordings.offsets))
-    truth = np.diff(recordings["exact.yaw_rad"], prepend=np.nan)
-    truth[recordings.offsets[:-1]] = np.nan
+    truth = exact_turn(recordings)
+    condition = np.repeat([condition_of(scene) for scene in recordings.scenes], np.diff(recordings.offsets))
     joint = (JOINT,) if JOINT in recordings.manifest.variants else ()
     found = []
     for expert in (*recordings.experts, *joint):
@@ -126,7 +115,7 @@ def study(recordings: Recordings, told: list[Told]) -> Table:
         row = [*inside, _rms(ratio), _rms(error), float(np.median(std))]
         rows.append([part.expert, part.condition, float(len(ratio)), *row])
     caption = (
-        f"Increments within their own standard deviations, {recordings.manifest.data_version}, {len(recordings)} "
+        f"Increments within their own standard deviations, {data_label(recordings.manifest)}, {len(recordings)} "
         "scenes, against exact truth; a calibrated expert has 68.3 and 95.0 %."
     )
     return Table(caption, COLUMNS, rows)
@@ -174,14 +163,7 @@ def _rms(values: FloatArray) -> float:
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line."""
-    import tyro
-
-    try:
-        print(tyro.cli(CalibrationStudy, args=arguments).run().text(), end="")
-    except MixoError as error:
-        logger.error("%s", error)
-        return 1
-    return 0
+    return print_study(CalibrationStudy, arguments)
 
 
 if __name__ == "__main__":

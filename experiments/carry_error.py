@@ -9,24 +9,21 @@ the current rate has to stand in for the one before. At every image, and from ke
 
 from __future__ import annotations
 
-import logging
 import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mixo_env.errors import MixoError, RecordingError
+from experiments.studies import print_study
+from mixo_env.errors import RecordingError
 from mixo_env.geometry import MAD_TO_SIGMA
 from mixo_env.recordings.carry import OwnWindows, carry, own_windows, scaled_to_step
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.store import load_recordings
 from mixo_env.recordings.truth import exact_own_window_increments
 from mixo_env.tables import Column, Table
-
-logger = logging.getLogger(__name__)
 
 FloatArray = NDArray[np.float64]
 
@@ -108,16 +105,9 @@ def _errors(
     yield "error / std", np.divide(carried - true, std, out=np.full(len(std), np.nan), where=std > 0)
 
 
-def main(arguments: list[Any] | None = None) -> int:
+def main(arguments: list[str] | None = None) -> int:
     """Run the command line."""
-    import tyro
-
-    try:
-        print(tyro.cli(CarryError, args=arguments).run().text(), end="")
-    except MixoError as error:
-        logger.error("%s", error)
-        return 1
-    return 0
+    return print_study(CarryError, arguments)
 
 
 if __name__ == "__main__":

@@ -6,16 +6,15 @@ python -m experiments.joint_odometry --recordings recorded
 
 from __future__ import annotations
 
-import logging
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mixo_env.errors import MixoError, RecordingError
+from experiments.studies import exact_turn, print_study
+from mixo_env.errors import RecordingError
 from mixo_env.leaderboard.board import build
 from mixo_env.leaderboard.rows import Row
 from mixo_env.recordings.collection import Recordings
@@ -23,8 +22,6 @@ from mixo_env.recordings.joint import JOINT
 from mixo_env.recordings.store import TIMINGS_FILE, load_recordings, read_columns
 from mixo_env.recordings.variants import as_variant
 from mixo_env.tables import Column, Table
-
-logger = logging.getLogger(__name__)
 
 TURNING_RAD = np.radians(45.0)
 """A scene whose heading covers more than this is a turning one."""
@@ -102,12 +99,8 @@ def _coverage(recordings: Recordings, name: str) -> list[float]:
     if expert not in recordings.manifest.cameras:
         return [np.nan, np.nan]
     shown = as_variant(recordings, name)
-    ratio = []
-    for i in range(len(shown)):
-        scene = shown.rows(i)
-        error = scene[f"{expert}.yaw_increment_rad"] - np.diff(scene["exact.yaw_rad"], prepend=np.nan)
-        ratio.append(np.abs(error) / scene[f"{expert}.yaw_std_rad"])
-    told = np.concatenate(ratio)
+    error = shown[f"{expert}.yaw_increment_rad"] - exact_turn(shown)
+    told = np.abs(error) / shown[f"{expert}.yaw_std_rad"]
     told = told[np.isfinite(told)]
     return [100.0 * float(np.mean(told < limit)) for limit in (1.0, 1.96)] if len(told) else [np.nan, np.nan]
 
@@ -122,16 +115,9 @@ def _spent_ms(folder: Path) -> dict[str, float]:
     return {str(name): float(np.nanmedian(timings["expert_ms"][names == name])) for name in np.unique(names)}
 
 
-def main(arguments: list[Any] | None = None) -> int:
+def main(arguments: list[str] | None = None) -> int:
     """Run the command line."""
-    import tyro
-
-    try:
-        print(tyro.cli(JointOdometryStudy, args=arguments).run().text(), end="")
-    except MixoError as error:
-        logger.error("%s", error)
-        return 1
-    return 0
+    return print_study(JointOdometryStudy, arguments)
 
 
 if __name__ == "__main__":

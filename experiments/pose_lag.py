@@ -12,6 +12,7 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 
+from experiments.studies import exact_turn
 from mixo_env.errors import DatasetError, MixoError
 from mixo_env.leaderboard.crossvalidation import CrossValidation
 from mixo_env.leaderboard.evaluation import Travel, Truth, with_wheels
@@ -22,6 +23,7 @@ from mixo_env.recordings.pose_lag import lag_corrected
 from mixo_env.recordings.pose_lag_fit import UNKNOWN, PoseLag, Turns, camera_turns, fit_pose_lag, step_turns
 from mixo_env.recordings.schema import Manifest, SceneEntry
 from mixo_env.recordings.store import load_recordings
+from mixo_env.recordings.truths import truths_of
 
 ROWS = ("CAM_FRONT", "LINEAR", "HUBER", "MEDIAN")
 POSE_EVERY = 5
@@ -30,9 +32,9 @@ POSE_EVERY = 5
 
 def exact_turns(recordings: Recordings) -> list[Turns]:
     """What the simulator's noise-free truth turned, step by step."""
-    increment = np.diff(recordings["exact.yaw_rad"], prepend=np.nan)
-    increment[recordings.offsets[:-1]] = np.nan
-    return step_turns(recordings, increment)
+    known = "exact" in truths_of(recordings)
+    unknown = np.full(recordings.offsets[-1], np.nan)
+    return step_turns(recordings, exact_turn(recordings) if known else unknown)
 
 
 def lags_by_source(recordings: Recordings) -> dict[str, dict[str, PoseLag]]:

@@ -16,13 +16,13 @@ import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from experiments.studies import print_study
 from mixo_env.cli.import_ import Import
-from mixo_env.errors import ConfigurationError, MixoError, PolicyError
+from mixo_env.errors import ConfigurationError, PolicyError
 from mixo_env.leaderboard.crossvalidation import CrossValidation, Trial
 from mixo_env.leaderboard.evaluation import Travel, Truth
 from mixo_env.policies.registry import names as policy_names
@@ -194,18 +194,13 @@ def table(scores: Mapping[str, Scored], privileged: set[str], sequences: Sequenc
     return Table(caption, columns, rows)
 
 
-def main(arguments: list[Any] | None = None) -> int:
+def main(arguments: list[str] | None = None) -> int:
     """Run the command line."""
-    import tyro
 
-    try:
-        study = tyro.cli(RealExperts, args=arguments)
-        result = study.run()
-        print(result.markdown() if study.markdown else result.text(), end="")
-    except MixoError as error:
-        logger.error("%s", error)
-        return 1
-    return 0
+    def form(study: RealExperts, table: Table) -> str:
+        return table.markdown() if study.markdown else table.text()
+
+    return print_study(RealExperts, arguments, form)
 
 
 if __name__ == "__main__":

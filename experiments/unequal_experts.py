@@ -9,7 +9,6 @@ the least of the worst 5 %, and the largest; then the RMS and the worst 5 % of t
 
 from __future__ import annotations
 
-import logging
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,16 +16,14 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from mixo_env.errors import MixoError, RecordingError
+from experiments.studies import exact_turn, print_study
 from mixo_env.leaderboard.evaluation import lost_tracks
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.joint import JOINT
+from mixo_env.recordings.presets import data_label
 from mixo_env.recordings.store import load_recordings
-from mixo_env.recordings.truths import truths_of
 from mixo_env.recordings.variants import as_variant
 from mixo_env.tables import Cell, Column, Table
-
-logger = logging.getLogger(__name__)
 
 FloatArray = NDArray[np.float64]
 
@@ -63,10 +60,7 @@ def study(recordings: Recordings) -> Table:
     Raises:
         RecordingError: without exact truth.
     """
-    if "exact" not in truths_of(recordings):
-        raise RecordingError("expected recordings with exact truth, got none: simulate a city and record it")
-    truth = np.diff(recordings["exact.yaw_rad"], prepend=np.nan)
-    truth[recordings.offsets[:-1]] = np.nan
+    truth = exact_turn(recordings)
     moving = recordings["speed_mps"] > MOVING_MPS
     joint = (JOINT,) if JOINT in recordings.manifest.variants else ()
     rows: list[list[Cell]] = []
@@ -78,7 +72,7 @@ def study(recordings: Recordings) -> Table:
         size, driving = np.abs(error[told]), np.abs(error[told & moving])
         rows.append([expert, share, _lost(recordings, expert), *_spread(size), *_tail(driving)])
     caption = (
-        f"Errors of one step's yaw increment, {recordings.manifest.data_version}, {len(recordings)} scenes, against "
+        f"Errors of one step's yaw increment, {data_label(recordings.manifest)}, {len(recordings)} scenes, against "
         f"exact truth; moving: faster than {MOVING_MPS:g} m/s."
     )
     return Table(caption, COLUMNS, rows)
@@ -108,14 +102,7 @@ def _tail(size: FloatArray) -> list[float]:
 
 def main(arguments: list[str] | None = None) -> int:
     """Run the command line."""
-    import tyro
-
-    try:
-        print(tyro.cli(UnequalExpertsStudy, args=arguments).run().text(), end="")
-    except MixoError as error:
-        logger.error("%s", error)
-        return 1
-    return 0
+    return print_study(UnequalExpertsStudy, arguments)
 
 
 if __name__ == "__main__":

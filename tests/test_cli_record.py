@@ -32,6 +32,7 @@ def test_a_folder_becomes_a_recording(root, tmp_path, capsys, caplog):
     recordings = load_recordings(tmp_path / "run")
     assert [scene.name for scene in recordings.scenes] == ["scene-2061"]
     assert recordings.manifest.parameters["skipped"] == {}  # the second run asked for the other one only
+    assert recordings.manifest.parameters["preset"] == "fast"
     assert recordings.manifest.parameters["monocular"]["features"] == MonocularConfig.preset("fast").features
     truth = recordings["truth.yaw_increment_rad"][1:]
     np.testing.assert_allclose(recordings["INERTIAL.yaw_increment_rad"][1:], truth, atol=2e-3)

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from experiments.calibration import CONDITIONS, Told, collect, condition_of, draw, main, study
+from experiments.calibration import CONDITIONS, Told, collect, draw, main, study
 from mixo_env.errors import RecordingError
 from mixo_env.nuscenes.selections import CAMERAS
 from mixo_env.recordings.collection import Recordings
@@ -26,15 +26,6 @@ def test_share_within_limits_by_hand() -> None:
     told = Told("X", "day", np.array([0.5, -0.9, 1.5, -3.0]), np.array([1.0, 1.0, 1.0, 2.0]))
     assert (told.within(1.0), told.within(1.96)) == (50.0, 100.0)
     assert told.within(1.4) == 50.0
-
-
-def test_a_scene_counts_once() -> None:
-    assert [condition_of(c) for c in (("day",), ("day", "rain"), ("night",), ("night", "rain"))] == [
-        "day",
-        "rain",
-        "night",
-        "night",
-    ]
 
 
 def test_experts_that_err_as_they_say_are_calibrated() -> None:

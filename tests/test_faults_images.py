@@ -131,7 +131,10 @@ def test_the_command_records_a_scene_with_a_few_broken_images(folder, tmp_path, 
     paths[4].unlink()
     becomes(bomb)(paths[6])
     assert main(arguments) == 0
-    assert "1 scenes, 43 rows, 1 logs (v1.0-mini); no image in 2 steps for the reasons" in capsys.readouterr().out
+    assert (
+        "1 scenes, 43 rows, 1 logs, v1.0-mini (preset fast); no image in 2 steps for the reasons"
+        in capsys.readouterr().out
+    )
     state = load_recordings(tmp_path / "out")["CAM_FRONT.state"]
     assert np.count_nonzero(state == State.NO_IMAGE) == 2
     for path in (paths[4], paths[6]):

@@ -240,6 +240,31 @@ def test_real_road(capsys: pytest.CaptureFixture[str]) -> None:
     assert rms < rms_still
 
 
+@pytest.mark.skipif("MIXO_REAL_DATA" not in os.environ, reason="MIXO_REAL_DATA is not set")
+def test_real_road_at_two_images_a_second() -> None:
+    """With the corners of images that follow closely one step was wrong by -.70 deg, its increment by -.25."""
+    camera, images, distance, truth = kitti()
+    errors = []
+    for first in range(11, 16):  # the truth of earlier frames is interpolated
+        odometry = MonocularOdometry(camera)
+        odometry.process(images[first], 1, 0.0)
+        for a, b in itertools.pairwise(range(first, len(images), 5)):
+            step = odometry.process(images[b], 1 + 103_650 * (b - first), distance[a:b].sum())
+            yaws = np.array([step.yaw_increment_rad, step.two_frame_yaw_increment_rad])
+            errors.append(np.degrees(yaws - truth[a:b].sum()))
+    assert np.nanmax(np.abs(errors)) < 0.15
+    assert np.sqrt(np.nanmean(np.square(errors))) < 0.03
+
+
+def test_images_that_are_far_apart_get_more_corners() -> None:
+    rng = np.random.default_rng(5)
+    image = np.asarray(cv2.GaussianBlur(rng.integers(0, 255, (300, 400), np.uint8), (0, 0), 1.0), np.uint8)
+    solver = MonocularOdometry(calibration(0.0), MonocularConfig(features=300, features_apart=900))._solver
+    counts = [len(solver.frame(image, gap_s).position_px) for gap_s in (0.0, 0.25, 0.5, math.inf)]
+    assert counts[0] == counts[1] == counts[3] <= 330
+    assert counts[2] >= 2 * counts[0]
+
+
 def test_the_residual_is_reported_in_pixels_of_the_full_image(monkeypatch: pytest.MonkeyPatch) -> None:
     """Motions come on the image plane (unit focal length); what is recorded is that times the focal length."""
     camera = calibration(0.0)

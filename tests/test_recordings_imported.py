@@ -10,7 +10,7 @@ import pytest
 
 from mixo_env.cli.main import main
 from mixo_env.errors import ConfigurationError, TrajectoryError
-from mixo_env.experts.imported import MAXIMUM_GAP_S, imported_increments
+from mixo_env.experts.imported import MAXIMUM_GAP_S, Quality, imported_columns, imported_increments
 from mixo_env.fusion import least_squares_weights
 from mixo_env.geometry import multiply_quaternions_wxyz, quaternion_wxyz_from_rotation
 from mixo_env.leaderboard.evaluation import FLOORS
@@ -63,6 +63,51 @@ def test_a_closing_time_on_the_last_pose_counts():
     exact = turning(np.array([0.0, 0.1, 0.2]))
     exact = replace(exact, timestamps_s=1e-6 * steps)
     np.testing.assert_allclose(imported_increments(exact, steps)[1:], 0.03, atol=1e-9)
+
+
+def test_live_poses_are_carried_by_their_own_rate():
+    steps = START_US + np.array([0, 100_000, 150_000, 300_000, 400_000])
+    increments = imported_increments(turning(np.arange(-3, 12) * 0.07), steps, live=True)
+    np.testing.assert_allclose(increments[1:], 0.3 * np.array([0.1, 0.05, 0.15, 0.1]), atol=1e-6)
+
+
+def test_by_hand_what_a_live_rate_held_wrongly_is_made_up_for():
+    steps = START_US + np.array([0, 100_000, 200_000, 300_000])
+    times, yaw = np.array([-0.12, -0.02, 0.08, 0.18, 0.28]), np.array([0.0, 0.0, 0.1, 0.1, 0.1])
+    poses = Trajectory.from_planar(times, 0 * times, yaw, 1e-6 * START_US + times)
+    # at the ends of the steps: 0, 0.1 + 1 rad/s x 0.02 s, 0.1, 0.1
+    np.testing.assert_allclose(imported_increments(poses, steps, live=True)[1:], [0.12, -0.02, 0.0], atol=1e-5)
+
+
+def test_no_live_increment_rests_on_a_later_pose():
+    rng = np.random.default_rng(3)
+    steps = START_US + np.arange(0, 1_500_000, 83_000)
+    times = np.sort(rng.uniform(-0.2, 1.6, 22))
+    lost = rng.random(len(times)) < 0.15
+    yaw = np.cumsum(rng.normal(0.0, 0.05, len(times)))
+    quality = Quality(np.arange(22.0), np.full(22, np.nan), np.full(22, 0.01), lost)
+
+    def columns(changed: np.ndarray) -> dict[str, np.ndarray]:
+        poses = Trajectory.from_planar(times, 0 * times, changed, 1e-6 * START_US + times)
+        return imported_columns(poses, steps, quality, 0.3, live=True)
+
+    before = columns(yaw)
+    assert np.isfinite(before["yaw_increment_rad"]).sum() > 5
+    for k, close in enumerate(1e-6 * (steps - START_US)):
+        after = columns(np.where(times > close, yaw + rng.normal(0.0, 0.3, len(times)), yaw))
+        for name, values in before.items():
+            np.testing.assert_array_equal(after[name][: k + 1], values[: k + 1])
+
+
+def test_nothing_is_told_live_where_the_last_pose_is_lost_or_too_old():
+    steps = START_US + np.arange(0, 1_000_000, 100_000)
+    times = np.arange(-0.15, 0.9, 0.1)
+    lost = np.arange(len(times)) == 5  # at 0.35 s
+    told = np.isfinite(imported_increments(turning(times), steps, 0.25, lost, live=True))
+    np.testing.assert_array_equal(np.flatnonzero(~told), [0, 4, 5])
+    told = np.isfinite(imported_increments(turning(times[times < 0.5]), steps, 0.14, live=True))
+    np.testing.assert_array_equal(np.flatnonzero(~told), [0, 6, 7, 8, 9])
+    assert np.isnan(imported_increments(turning(times[2:3]), steps, live=True)).all()
 
 
 @pytest.mark.parametrize("mounting_deg", [0.0, 55.0, 180.0])

@@ -48,7 +48,7 @@ another takes what it wrote, as many experts at a time as you like:
 
 ```sh
 python -m experiments.peers.orbslam3_expert --dataroot city --out orbslam3
-mixo import recorded --expert ORBSLAM3_FRONT=orbslam3/ORBSLAM3_FRONT --max-gap-s 0.15 --out unequal
+mixo import recorded --expert ORBSLAM3_FRONT=orbslam3/ORBSLAM3_FRONT --live --max-gap-s 0.15 --out unequal
 ```
 
 Its live poses count, given with each image before any later one was seen; loop closing is off, as in the paper. An

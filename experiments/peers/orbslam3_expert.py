@@ -1,13 +1,13 @@
 """ORB-SLAM3 as an expert: run over a nuScenes folder, every scene and camera; its live poses as files for an import.
 
     python -m experiments.peers.orbslam3_expert --dataroot city --cameras CAM_FRONT CAM_BACK --out orbslam3
-    mixo import recorded --expert ORBSLAM3_FRONT=orbslam3/ORBSLAM3_FRONT ... --max-gap-s 0.15 --out with-orbslam3
+    mixo import recorded --expert ORBSLAM3_FRONT=orbslam3/ORBSLAM3_FRONT ... --live --max-gap-s 0.15 --out with-orbslam3
 
 Of every scene and camera ``ORBSLAM3_FRONT/SCENE.txt`` (TUM, vehicle axes) and ``SCENE.quality.csv`` are written: a line
 an image with state and map points tracked. A pose is the one given with its image, before any later one was seen; what
-the map makes of it afterwards is not used. (The import interpolates to the ends of the steps, so with the gap above it
-looks at most one image ahead; a longer gap would bridge lost images with later ones.) What is there is not done again:
-a killed run loses the one that it worked on.
+the map makes of it afterwards is not used. (With ``--live`` the import uses no pose after the end of a step either; a
+longer gap would go on from poses before lost images.) What is there is not done again: a killed run loses the one that
+it worked on.
 """
 
 from __future__ import annotations

@@ -61,6 +61,9 @@ class Import:
     """Instead of times: poses a second, from 0 on."""
     max_gap_s: float = 0.6
     """Poses further apart are not interpolated; the expert is lost there [s]."""
+    live: Annotated[bool, FlagCreatePairsOff] = False
+    """The poses were given live, each with its image: a step is told by the poses up to its end, and the last one is
+    carried there by the rate of the last two. Otherwise yaw is interpolated, for which a later pose may be used."""
     without: Annotated[Words, tyro.conf.arg(metavar="NAME ...")] = ()
     """Experts of the recording to leave out; one of the same name may then be imported."""
     despite: Annotated[Words, tyro.conf.arg(metavar="NAME ...")] = ()
@@ -166,7 +169,7 @@ class Import:
             axes[name] = value
         if self.groundtruth is not None and "groundtruth" not in axes:
             axes["groundtruth"] = "file"
-        return Reading(axes, self.quaternions, self.times, self.rate)
+        return Reading(axes, self.quaternions, self.times, self.rate, self.live)
 
     def _say(self, made: Recordings, names: list[str]) -> None:
         import numpy as np

@@ -134,6 +134,8 @@ class Record:
 
     def _say(self, recordings: Recordings) -> int:
         """What was recorded, and the exit code."""
+        from mixo_env.recordings.presets import data_label
+
         manifest = recordings.manifest
         skipped = len(manifest.parameters["skipped"])
         broken = sum(
@@ -144,7 +146,7 @@ class Record:
         )
         print(
             f"{self.out}: {len(recordings)} scenes, {len(recordings['step']):,} rows, "
-            f"{len({scene.log for scene in recordings.scenes})} logs ({manifest.data_version})"
+            f"{len({scene.log for scene in recordings.scenes})} logs, {data_label(manifest)}"
             + (f"; no image in {broken} steps for the reasons above" if broken else "")
             + (f"; {skipped} skipped for the reasons above: the same command tries them again" if skipped else "")
         )

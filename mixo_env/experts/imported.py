@@ -42,6 +42,8 @@ def imported_increments(
     timestamps_us: NDArray[np.int64],
     maximum_gap_s: float = MAXIMUM_GAP_S,
     lost: NDArray[np.bool_] | None = None,
+    *,
+    live: bool = False,
 ) -> FloatArray:
     """Yaw increments of a trajectory over the steps of a scene.
 
@@ -50,11 +52,16 @@ def imported_increments(
     differ from the trajectory's own, the later pose therefore lies after t_k. Files are data: what their program saw
     when is not known.
 
+    Poses that a program gave ``live``, with each image, may be used causally instead: yaw goes on from the last pose up
+    to t_k by the rate between it and the one before. Where that pose is lost, nothing is known; what the rate held
+    wrongly is made up for in the next step.
+
     Args:
         trajectory: with times in seconds.
         timestamps_us: ``(rows,)`` closing times t_k.
         maximum_gap_s: poses further apart are not interpolated.
         lost: ``(poses,)`` those that are no estimates; as if they were not there.
+        live: no pose after t_k has a part in what is known at t_k.
 
     Returns:
         ``(rows,)`` rad; NaN in row 0, before the first and after the last pose, and across gaps.
@@ -64,17 +71,14 @@ def imported_increments(
     """
     if trajectory.timestamps_s is None:
         raise TrajectoryError("expected a time for each pose, got none: write TUM, or KITTI with a file of times")
+    if live:
+        return _live_increments(trajectory, timestamps_us, maximum_gap_s, lost)
     if lost is not None and lost.any():
         trajectory = trajectory[~lost]
         if len(trajectory) < 2:
             return np.full(len(timestamps_us), np.nan)
     known, at = _clock(trajectory, timestamps_us)
-    if known[-1] < at[0] or known[0] > at[-1]:
-        first_s, last_s = _times_s(trajectory)[[0, -1]]
-        raise TrajectoryError(
-            f"expected Unix seconds between {1e-6 * timestamps_us[0]:.3f} and {1e-6 * timestamps_us[-1]:.3f}, "
-            f"got {first_s:.3f} to {last_s:.3f}: no pose lies in the scene"
-        )
+    _check_overlap(trajectory, timestamps_us)
     yaw = np.interp(at, known, local_yaw_rad(trajectory), left=np.nan, right=np.nan)
     before = np.clip(np.searchsorted(known, at, side="right") - 1, 0, len(known) - 1)
     after = np.clip(np.searchsorted(known, at, side="left"), 0, len(known) - 1)
@@ -82,27 +86,62 @@ def imported_increments(
     return np.concatenate([[np.nan], np.diff(yaw)])
 
 
+def _live_increments(
+    trajectory: Trajectory, timestamps_us: NDArray[np.int64], maximum_gap_s: float, lost: NDArray[np.bool_] | None
+) -> FloatArray:
+    """:func:`imported_increments` from the poses up to each t_k alone."""
+    _check_overlap(trajectory, timestamps_us)
+    known, at = _clock(trajectory, timestamps_us)
+    good = np.ones(len(known), np.bool_) if lost is None else ~lost
+    told, yaw = np.flatnonzero(good), np.full(len(known), np.nan)
+    rate = yaw.copy()
+    if len(told) > 1:
+        yaw[told] = local_yaw_rad(trajectory[good])
+        gap = np.diff(known[told])
+        near = gap <= 1e6 * maximum_gap_s
+        rate[told[1:]] = np.where(near, np.diff(yaw[told]) / np.maximum(gap, 1), np.nan)
+    last = np.searchsorted(known, at, side="right") - 1
+    age = at - known[np.maximum(last, 0)]
+    there = (last >= 0) & (age <= 1e6 * maximum_gap_s)
+    at_close = np.where(there, yaw[last] + rate[last] * age, np.nan)
+    return np.concatenate([[np.nan], np.diff(at_close)])
+
+
+def _check_overlap(trajectory: Trajectory, timestamps_us: NDArray[np.int64]) -> None:
+    """Raise :class:`TrajectoryError` where no pose lies in the scene."""
+    known, at = _clock(trajectory, timestamps_us)
+    if known[-1] < at[0] or known[0] > at[-1]:
+        first_s, last_s = _times_s(trajectory)[[0, -1]]
+        raise TrajectoryError(
+            f"expected Unix seconds between {1e-6 * timestamps_us[0]:.3f} and {1e-6 * timestamps_us[-1]:.3f}, "
+            f"got {first_s:.3f} to {last_s:.3f}: no pose lies in the scene"
+        )
+
+
 def imported_columns(
     trajectory: Trajectory,
     timestamps_us: NDArray[np.int64],
     quality: Quality | None = None,
     maximum_gap_s: float = MAXIMUM_GAP_S,
+    *,
+    live: bool = False,
 ) -> dict[str, NDArray[Any]]:
     """All columns of an imported expert over one scene, without its name.
 
     A step is LOST where its increment is missing, the first row where no pose is near. Counts and confidence of a step
-    are those of the last pose until it closes; variances add up over the poses in it.
+    are those of the last pose until it closes; variances add up over the poses in it. ``live``: as for increments.
 
     Raises:
         TrajectoryError: as :func:`imported_increments`.
     """
     lost = None if quality is None else quality.lost
-    increments = imported_increments(trajectory, timestamps_us, maximum_gap_s, lost)
+    increments = imported_increments(trajectory, timestamps_us, maximum_gap_s, lost, live=live)
     columns = lost_columns(len(timestamps_us))
     tracking = np.isfinite(increments)
     known, at = _clock(trajectory, timestamps_us)
     good = np.ones(len(known), np.bool_) if lost is None else ~lost
-    tracking[0] = bool(np.any(good & (np.abs(known - at[0]) <= 1e6 * maximum_gap_s)))
+    seen = known <= at[0] if live else np.ones_like(good)
+    tracking[0] = bool(np.any(good & seen & (np.abs(known - at[0]) <= 1e6 * maximum_gap_s)))
     columns["state"][tracking] = State.TRACKING
     columns["yaw_increment_rad"] = increments.astype(np.float32)
     if quality is None:
@@ -110,7 +149,8 @@ def imported_columns(
     last = np.clip(np.searchsorted(known, at, side="right") - 1, 0, None)
     for name in ("matches", "confidence"):
         columns[name] = np.where(tracking, getattr(quality, name)[last], np.nan).astype(np.float32)
-    variance = np.interp(at, known, np.cumsum(np.nan_to_num(quality.yaw_std_rad) ** 2))
+    variance = np.cumsum(np.nan_to_num(quality.yaw_std_rad) ** 2)
+    variance = variance[last] if live else np.interp(at, known, variance)
     std = np.sqrt(np.maximum(np.diff(variance, prepend=np.nan), 0.0))
     columns["yaw_std_rad"] = np.where(np.isfinite(increments) & (std > 0.0), std, np.nan).astype(np.float32)
     return columns

@@ -91,8 +91,11 @@ class XFeatFrontEnd:
         require_xfeat()
         self._network = _network()
 
-    def frame(self, image: NDArray[np.uint8]) -> Frame:
-        """Corners, descriptors ``(n, 64)`` float32 of unit length; none in an image that is too small."""
+    def frame(self, image: NDArray[np.uint8], apart: bool = False) -> Frame:
+        """Corners, descriptors ``(n, 64)`` float32 of unit length; none in an image that is too small.
+
+        As many of images that are far apart.
+        """
         height, width = image.shape
         share = 2 if self.config.halved else 1
         # Whole cells only. A resize is exact about the centres of pixels, and half of a size need not be whole.

@@ -17,6 +17,7 @@ from mixo_env.leaderboard.firing_order import firing_order
 from mixo_env.leaderboard.rows import Row
 from mixo_env.leaderboard.sentences import conventions, lost_mean_std
 from mixo_env.metrics.relative import RelativeSamples
+from mixo_env.recordings.presets import recorded_preset
 from mixo_env.recordings.schema import TRUE_DISTANCE
 from mixo_env.tables import csv_cell
 
@@ -28,6 +29,7 @@ def to_json(board: Leaderboard) -> dict[str, Any]:
     order = firing_order(recordings, board.headline)
     return {
         "data_version": manifest.data_version,
+        "preset": recorded_preset(manifest),
         "distance": {"from": manifest.distance, "privileged": manifest.distance == TRUE_DISTANCE},
         "scenes": [scene.name for scene in recordings.scenes],
         "logs": board.logs,

@@ -14,6 +14,7 @@ from mixo_env.files import atomic_path
 from mixo_env.leaderboard.board import Leaderboard, Standings
 from mixo_env.leaderboard.evaluation import poses
 from mixo_env.leaderboard.rows import Row
+from mixo_env.recordings.presets import data_label
 from mixo_env.trajectory.planar import PlanarPoses
 
 PREFERRED_TRACK = "CONSUMER"
@@ -148,7 +149,7 @@ def _draw_lost(panel: Any, board: Leaderboard, cameras: list[str], steps: slice,
 
 def _title(board: Leaderboard, standings: Standings) -> str:
     return (
-        f"Track {standings.track}, data {board.recordings.manifest.data_version}, seed {board.protocol.trial.seed}; "
+        f"Track {standings.track}, data {data_label(board.recordings.manifest)}, seed {board.protocol.trial.seed}; "
         "no alignment, the first pose is the truth's; learned policies on scenes they have not seen"
     )
 

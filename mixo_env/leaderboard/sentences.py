@@ -12,6 +12,7 @@ from mixo_env.leaderboard.firing_order import FiringOrder, Told, firing_order
 from mixo_env.leaderboard.noise import Source, yaw_noise
 from mixo_env.leaderboard.rows import Row
 from mixo_env.metrics.tracks import LostTracks
+from mixo_env.recordings.presets import data_label
 from mixo_env.recordings.schema import TRACKS, TRUE_DISTANCE, UNEQUAL, Manifest
 
 TRUTH_NAMES = {
@@ -48,7 +49,7 @@ def conventions(board: Leaderboard) -> list[str]:
     clock = ", from key frame to key frame (2 Hz)" if trial.ground_truth == "keyframes" else ""
     seeds = f" and {trial.seeds} seeds of learned policies (mean of their errors)" if trial.seeds > 1 else ""
     lines = [
-        f"Data {recordings.manifest.data_version}: {size}{clock}"
+        f"Data {data_label(recordings.manifest)}: {size}{clock}"
         + (f", {count_of(protocol.left_out, 'scene')} outside the folds left out" if protocol.left_out else "")
         + f"; seed {trial.seed}{seeds}.",
         f"Alignment: none, the first pose is the truth's. {_truths(board)} A row that reads the truth chooses by the "

@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from mixo_env.errors import ConfigurationError, TrajectoryError, unknown
 from mixo_env.experts.imported import MAXIMUM_GAP_S, imported_columns, lost_columns
@@ -59,7 +61,7 @@ def with_imported(
             continue
         source = sources[name]
         try:
-            parts.append(imported_columns(vehicle_poses(source), stamps, source.quality, maximum_gap_s))
+            parts.append(_columns(source, stamps, maximum_gap_s))
         except TrajectoryError as error:
             raise TrajectoryError(f"{expert}, {name}: {error}") from None
     if not despite:
@@ -74,6 +76,10 @@ def with_imported(
         counted=(*manifest.counted, expert) if counts else manifest.counted,
     )
     return with_fits(recordings.replace(manifest, columns))
+
+
+def _columns(source: Source, stamps: NDArray[np.int64], maximum_gap_s: float) -> dict[str, NDArray[Any]]:
+    return imported_columns(vehicle_poses(source), stamps, source.quality, maximum_gap_s, live=source.live)
 
 
 def without(recordings: Recordings, experts: Sequence[str]) -> Recordings:

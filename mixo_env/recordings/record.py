@@ -41,6 +41,7 @@ from mixo_env.recordings.folds import FOLD_RULES, OUT_OF_DISTRIBUTION, with_fold
 from mixo_env.recordings.joint import JOINT, host
 from mixo_env.recordings.manifest import is_scene_name
 from mixo_env.recordings.parts import Part, PartFolder, finished_parts
+from mixo_env.recordings.presets import preset_of
 from mixo_env.recordings.processes import KILLED, Killed, each
 from mixo_env.recordings.provenance import configuration_hash, file_hash, inputs_hash, software_versions
 from mixo_env.recordings.schema import INERTIAL_EXPERTS, SCHEMA_VERSION, Manifest, SceneEntry
@@ -303,6 +304,7 @@ def _assemble(parts: list[Part], config: RecordConfig, version: str, skipped: di
         | {
             "configuration": configuration_hash(config.parameters()),
             "dataset": version,
+            **({"preset": preset_of(asdict(config.monocular))} if cameras else {}),
             "skipped": dict(sorted(skipped.items())),
             "folds": config.folds,
             "inputs": {part.entry.name: part.inputs for part in parts},

@@ -33,12 +33,14 @@ class Reading:
         times: folder (or file, for one sequence) of the times of files without any; by default ``03.times`` beside
             ``03.txt``.
         rate_hz: poses a second of files without times, from 0 on.
+        live: every pose was given with its image: what a step is told rests on no pose after its end.
     """
 
     axes: Mapping[str, Axes] = field(default_factory=dict)
     quaternions: QuaternionOrder = "file"
     times: Path | None = None
     rate_hz: float | None = None
+    live: bool = False
 
     def __post_init__(self) -> None:
         """Check what excludes each other."""
@@ -61,12 +63,14 @@ class Source:
         trajectory: in the axes of its body.
         axes: their name.
         quality: what stands beside it.
+        live: as in :class:`Reading`.
     """
 
     path: Path
     trajectory: Trajectory
     axes: str
     quality: Quality | None
+    live: bool = False
 
 
 def read_sources(name: str, folder: Path, names: tuple[str, ...], reading: Reading) -> dict[str, Source]:
@@ -89,7 +93,7 @@ def read_sources(name: str, folder: Path, names: tuple[str, ...], reading: Readi
             trajectory = replace(trajectory, timestamps_s=stamps, counted=trajectory.counted and not known)
         beside = quality_file(path)
         quality = read_quality(beside, len(trajectory)) if is_file(beside) else None
-        sources[sequence] = Source(path, trajectory, resolved(trajectory, reading.axes_of(name)), quality)
+        sources[sequence] = Source(path, trajectory, resolved(trajectory, reading.axes_of(name)), quality, reading.live)
     return sources
 
 

@@ -266,7 +266,7 @@ def _increments(source: Source | None, axes: str, stamps: NDArray[np.int64], gap
         return np.full(len(stamps), np.nan)
     lost = None if source.quality is None else source.quality.lost
     try:
-        return imported_increments(vehicle_poses(source, axes), stamps, gap_s, lost)
+        return imported_increments(vehicle_poses(source, axes), stamps, gap_s, lost, live=source.live)
     except TrajectoryError as error:
         raise TrajectoryError(f"{source.path}: {error}") from None
 
@@ -304,7 +304,7 @@ def _scene(
     for expert, source in experts.items():
         own = lost_columns(len(stamps))
         if source is not None:
-            own = imported_columns(vehicle_poses(source), stamps, source.quality, rules.maximum_gap_s)
+            own = imported_columns(vehicle_poses(source), stamps, source.quality, rules.maximum_gap_s, live=source.live)
         table |= {f"{expert}.{column}": values for column, values in own.items()}
     if rules.constant_rate:
         increments = np.stack([table[f"{expert}.yaw_increment_rad"] for expert in experts])
@@ -382,7 +382,7 @@ def _parameters(
         }
 
     plain = asdict(rules)
-    plain["reading"] = {"quaternions": rules.reading.quaternions, "rate_hz": rules.reading.rate_hz}
+    plain["reading"] = {name: getattr(rules.reading, name) for name in ("quaternions", "rate_hz", "live")}
     plain["distance"] = Path(rules.distance).name
     plain["distance_privileged"] = rules.distance == TRUE_DISTANCE
     return {

@@ -13,6 +13,9 @@ class MonocularConfig:
 
     Attributes:
         features: corners kept per image, over all pyramid levels.
+        features_apart: at least so many of an image that comes later than ``apart_s`` after the last one: far-apart
+            images have few corners in common (and there is time).
+        apart_s: a time between two images that is far apart.
         levels: pyramid levels.
         scale_factor: size ratio of consecutive pyramid levels.
         fast_threshold: contrast [grey levels] of a FAST corner.
@@ -44,6 +47,8 @@ class MonocularConfig:
     """
 
     features: int = 1200
+    features_apart: int = 4000
+    apart_s: float = 0.3
     levels: int = 3
     scale_factor: float = 1.4
     fast_threshold: int = 20

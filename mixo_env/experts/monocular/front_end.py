@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -33,8 +33,8 @@ class Frame:
 class FrontEnd(Protocol):
     """Corners and their matches; no memory."""
 
-    def frame(self, image: NDArray[np.uint8]) -> Frame:
-        """Corners of an image ``(height, width)`` at working resolution."""
+    def frame(self, image: NDArray[np.uint8], apart: bool = False) -> Frame:
+        """Corners of an image ``(height, width)`` at working resolution; ``apart``: the last one is long ago."""
         ...
 
     def match(self, first: Frame, second: Frame, radius_px: float) -> tuple[NDArray[np.integer], NDArray[np.integer]]:
@@ -53,13 +53,14 @@ class OrbFrontEnd:
 
     def __init__(self, config: MonocularConfig) -> None:
         self.config = config
-        self._detector = FeatureDetector(config)
+        more = replace(config, features=max(config.features, config.features_apart))
+        self._detectors = {False: FeatureDetector(config), True: FeatureDetector(more)}
         name = config.vocabulary
         self._vocabulary = load_vocabulary(GENERAL_VOCABULARY if name == "general" else Path(name))
 
-    def frame(self, image: NDArray[np.uint8]) -> Frame:
-        """Features, and the ``match_words`` nearest words to each."""
-        features = self._detector.detect(image)
+    def frame(self, image: NDArray[np.uint8], apart: bool = False) -> Frame:
+        """Features, and the ``match_words`` nearest words to each; more of them where the last image is long ago."""
+        features = self._detectors[apart].detect(image)
         words = self._vocabulary.nearest(features.descriptor, self.config.match_words)
         return Frame(image, features.position_px, (features, words))
 

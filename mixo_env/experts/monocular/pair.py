@@ -46,9 +46,9 @@ class PairSolver:
         self.camera, self.config = camera, config
         self._front_end = front_end or OrbFrontEnd(config)
 
-    def frame(self, image: NDArray[np.uint8]) -> Frame:
-        """Corners of an image ``(height, width)`` at working resolution."""
-        return self._front_end.frame(image)
+    def frame(self, image: NDArray[np.uint8], gap_s: float = 0.0) -> Frame:
+        """Corners of an image ``(height, width)`` at working resolution, taken ``gap_s`` after the last one."""
+        return self._front_end.frame(image, self.config.apart_s < gap_s < math.inf)
 
     def compare(self, first: Frame, second: Frame, gap_s: float, distance_m: float) -> Pair:
         """Motion of the car from the first to the second image.
