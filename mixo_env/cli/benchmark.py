@@ -115,6 +115,7 @@ class Benchmark:
             "policies": list(board.policies),
             "seed": self.seed,
             "seeds": self.seeds,
+            "weights": None if self.weights is None else str(self.weights),
             "ground_truth": self.ground_truth,
             "by": list(self.by),
             "sort": self.sort,
