@@ -47,6 +47,10 @@ class Benchmark:
     ground_truth: Literal["poses", "keyframes"] = "poses"
     """A step from image to image, or between key frames (2 Hz) as in the paper."""
 
+    weights: Path | None = None
+    """Folder written by `mixo train`: what it holds for just these recordings is not fitted again
+    (`-v` names it). None: all is fitted."""
+
     by: tuple[Literal["condition", "situation"], ...] = ()
     """Show tables by condition or by staged situation as well (leaderboard.json always holds them)."""
 
@@ -83,7 +87,7 @@ class Benchmark:
                 recordings,
                 tracks=self.tracks,
                 policies=self.policies,
-                trial=Trial(self.seed, self.seeds, self.ground_truth),
+                trial=Trial(self.seed, self.seeds, self.ground_truth, weights=self.weights),
                 progress=lambda _: report(next(begun), tables * len(rows)),
             )
         write_json(folder / "configuration.json", self._resolved(board, recordings))
@@ -111,6 +115,7 @@ class Benchmark:
             "policies": list(board.policies),
             "seed": self.seed,
             "seeds": self.seeds,
+            "weights": None if self.weights is None else str(self.weights),
             "ground_truth": self.ground_truth,
             "by": list(self.by),
             "sort": self.sort,

@@ -36,11 +36,13 @@ def commands() -> dict[str, type]:
     from mixo_env.cli.record import Record
     from mixo_env.cli.score import Score
     from mixo_env.cli.simulate import Simulate
+    from mixo_env.cli.train import Train
     from mixo_env.cli.train_vocabulary import TrainVocabulary
 
     return {
         "benchmark": Benchmark,
         "score": Score,
+        "train": Train,
         "simulate": Simulate,
         "inspect": Inspect,
         "record": Record,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from mixo_env.errors import ConfigurationError, PolicyError, unknown
 from mixo_env.leaderboard.checks import check_complete
 from mixo_env.leaderboard.evaluation import FLOORS, Travel, rollout, with_wheels
+from mixo_env.leaderboard.weights import fit_or_take
 from mixo_env.policies.fitting import drives, prepare
 from mixo_env.policies.outside import make_policy
 from mixo_env.policies.policy import Policy
@@ -39,20 +41,24 @@ class Trial:
         seeds: of every learned policy; its row is the mean of their errors.
         ground_truth: the clock.
         outside: further policies, name -> class, or one that is played as it is.
+        weights: folder written by ``mixo train``: what it holds is not fitted again. ``None``: everything is fitted.
 
     Raises:
-        ConfigurationError: for no seed at all.
+        ConfigurationError: for no seed at all, or weights that are no folder.
     """
 
     seed: int = 0
     seeds: int = 1
     ground_truth: GroundTruth = "poses"
     outside: Mapping[str, type[Policy] | Policy] = field(default_factory=dict)
+    weights: Path | None = None
 
     def __post_init__(self) -> None:
-        """Look at the number of seeds."""
+        """Look at the number of seeds and at the folder."""
         if self.seeds < 1:
             raise ConfigurationError(f"seeds: expected 1 or more, got {self.seeds}")
+        if self.weights is not None and not self.weights.is_dir():
+            raise ConfigurationError(f"expected a folder of weights, got {self.weights}: write one with `mixo train`")
 
 
 UNFOLDED = -1
@@ -226,9 +232,8 @@ class CrossValidation:
             here = np.array([whole or scene.fold == fold for scene in entries])
             scenes = self.recordings.select(scenes=[entries[i].name for i in np.flatnonzero(here)])
             for k in range(self.trial.seeds):
-                policy = self._create(name)
+                policy = self.fitted(name, track, fold, k)
                 policies.setdefault(fold, policy)
-                prepare(policy, self.training(fold), track, seed=self._seed_of(fold, k))
                 for truth, (travel,) in self._play(policy, scenes, track, privileged).items():
                     increments[truth][k, here[scene_of_row]] = travel.yaw_increment_rad
         travels = {
@@ -236,6 +241,44 @@ class CrossValidation:
             for truth, values in increments.items()
         }
         return Run(name, privileged, True, travels, tested, policies)
+
+    def fitted(self, name: str, track: str, fold: int, repetition: int, *, keep: bool = False) -> Policy:
+        """A row fitted without ``fold``, or taken from the folder of weights where it holds just that.
+
+        Args:
+            name: of a row that learns.
+            track: whose experts vote.
+            fold: held out.
+            repetition: which of the trial's seeds.
+            keep: write it into the folder of weights.
+
+        Raises:
+            PolicyError: when it does not fit these recordings, or its piece is damaged.
+            OutputError: when it cannot be written.
+        """
+        policy, training, seed = self._create(name), self.training(fold), self._seed_of(fold, repetition)
+        if self.trial.weights is None or name in self.trial.outside:
+            prepare(policy, training, track, seed=seed)
+            return policy
+        piece = self.trial.weights / name / track / f"fold-{fold}-seed-{repetition}"
+        return fit_or_take(policy, training, track, seed, piece, keep=keep)
+
+    def pieces(self, names: Sequence[str], tracks: Sequence[str]) -> tuple[tuple[str, str, int, int], ...]:
+        """Name, track, fold and repetition of all that is fitted for these rows; an expensive one on the last fold.
+
+        Raises:
+            PolicyError: with fewer than two folds.
+        """
+        if self.foreign:
+            raise PolicyError("expected recordings with two folds or more to train on, got fewer: give such recordings")
+        return tuple(
+            (name, track, fold, k)
+            for name in names
+            if name not in FLOORS and self._kind(name).learns
+            for track in tracks
+            for fold in (self.folds[-1:] if self.expensive(name) else self.folds)
+            for k in range(self.trial.seeds)
+        )
 
     def _play(self, policy: Policy, scenes: Recordings, track: str, privileged: bool) -> dict[str, tuple[Travel]]:
         """Its travel for every truth; a policy that does not read it is played once."""

@@ -1,0 +1,70 @@
+"""`mixo train`: fit once, keep the weights."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, ClassVar
+
+import tyro
+
+
+@dataclass(frozen=True)
+class Train:
+    """Fit rows of the leaderboard for every held-out fold and keep their weights.
+
+    Worked examples:
+
+      mixo train TOKEN --out weights                    weights/TOKEN/VISION/fold-0-seed-0 ...; folds by log
+      mixo train --all --out weights                    every row that learns, every track
+      mixo benchmark --weights weights                  the same table, without fitting what is there
+      mixo score weights/TOKEN/VISION/fold-0-seed-0 --recordings other-city
+    """
+
+    interrupted: ClassVar[str] = "finished pieces are kept: say the same again to go on"
+
+    names: Annotated[tuple[str, ...], tyro.conf.Positional] = ()
+    """Rows to fit; case, hyphens and underscores do not matter."""
+
+    all: bool = False
+    """Every row that learns."""
+
+    recordings: Path | None = None
+    """Folder written by `mixo record`, or the name of a bundled recording. None: the bundled mixocity."""
+
+    tracks: tuple[str, ...] = ()
+    """Who votes besides the cameras. Empty: all."""
+
+    seed: int = 0
+    """Of everything random."""
+
+    seeds: int = 1
+    """Fits of every row."""
+
+    out: Path = Path("weights")
+    """Folder for the weights."""
+
+    def run(self) -> int:
+        """Fit what is not there yet."""
+        from mixo_env.cli.progress import progress
+        from mixo_env.errors import ConfigurationError
+        from mixo_env.files import writable_folder
+        from mixo_env.leaderboard.board import requested
+        from mixo_env.leaderboard.crossvalidation import CrossValidation, Trial
+        from mixo_env.recordings.store import load_recordings
+
+        if self.all == bool(self.names):
+            raise ConfigurationError("expected names of rows, or --all, not both: `mixo train TOKEN`")
+        recordings = load_recordings(None if self.recordings is None else str(self.recordings))
+        rows = requested(recordings, self.tracks, self.names)
+        division = CrossValidation(recordings, Trial(self.seed, self.seeds, weights=writable_folder(self.out)))
+        pieces = division.pieces(rows, self.tracks or recordings.distinct_tracks)
+        if not pieces:
+            raise ConfigurationError(f"{', '.join(rows)}: nothing to fit: name a row that learns")
+        with progress("fitting") as report:
+            for done, (name, track, fold, k) in enumerate(pieces):
+                report(done, len(pieces))
+                division.fitted(name, track, fold, k, keep=True)
+        size = sum(file.stat().st_size for file in self.out.rglob("policy.safetensors"))
+        print(f"{self.out}: {len(pieces)} sets of weights, {size / 1e6:.2f} MB in the folder")
+        return 0

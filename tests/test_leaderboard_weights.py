@@ -1,0 +1,93 @@
+"""Weights that are kept: the same bits as a fit, used only where they belong, finished pieces survive."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mixo_env.cli.main import main
+from mixo_env.errors import ConfigurationError, PolicyError
+from mixo_env.leaderboard.crossvalidation import CrossValidation, Trial
+from mixo_env.policies.linear import Linear
+from mixo_env.recordings.collection import Recordings
+from mixo_env.recordings.store import save_recordings
+from tests.synthetic import synthetic_recordings
+
+
+@pytest.fixture(scope="module")
+def recordings() -> Recordings:
+    return synthetic_recordings(0, scenes=4, steps=80)
+
+
+@pytest.mark.parametrize("name", ["LINEAR", "MIXO", "TOKEN"])
+def test_kept_weights_play_the_same_bits_as_a_fit(
+    recordings: Recordings, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, name: str
+) -> None:
+    division = CrossValidation(recordings, Trial(weights=tmp_path))
+    division.fitted(name, "VISION", 3, 0, keep=True)
+    fresh = CrossValidation(recordings).run(name, "VISION", folds=[3]).travel.yaw_increment_rad
+    monkeypatch.setattr("mixo_env.leaderboard.weights.prepare", lambda *a, **k: pytest.fail("fitted anew"))
+    taken = division.run(name, "VISION", folds=[3]).travel.yaw_increment_rad
+    np.testing.assert_array_equal(taken, fresh)
+
+
+def test_weights_of_other_data_or_seed_are_not_taken(recordings: Recordings, tmp_path: Path) -> None:
+    CrossValidation(recordings, Trial(weights=tmp_path)).fitted("LINEAR", "VISION", 3, 0, keep=True)
+    for other, seed in ((synthetic_recordings(1, scenes=4, steps=80), 0), (recordings, 1)):
+        kept = CrossValidation(other, Trial(seed, weights=tmp_path)).fitted("LINEAR", "VISION", 3, 0)
+        fresh = CrossValidation(other, Trial(seed)).fitted("LINEAR", "VISION", 3, 0)
+        assert kept.fitted_on == fresh.fitted_on
+        for tensor, value in fresh.tensors().items():
+            np.testing.assert_array_equal(kept.tensors()[tensor], value)
+
+
+def test_training_goes_on_where_it_was_interrupted(
+    recordings: Recordings, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    save_recordings(recordings, tmp_path / "small")
+    command = ["train", "linear", "--recordings", str(tmp_path / "small"), "--tracks", "VISION"]
+    command += ["--out", str(tmp_path / "weights")]
+    fit, fits = Linear.fit, []
+
+    def counted(self: Linear, training: Recordings, track: str, *, seed: int = 0) -> None:
+        fits.append(track)
+        if len(fits) == 3:
+            raise KeyboardInterrupt
+        fit(self, training, track, seed=seed)
+
+    monkeypatch.setattr(Linear, "fit", counted)
+    assert main(command) == 130
+    assert capsys.readouterr().err.strip() == (
+        "mixo: interrupted; finished pieces are kept: say the same again to go on"
+    )
+    assert main(command) == 0
+    assert len(fits) == 5
+    assert "4 sets of weights" in capsys.readouterr().out
+
+
+def test_a_piece_that_is_not_what_its_stamp_says_is_refused(recordings: Recordings, tmp_path: Path) -> None:
+    division = CrossValidation(recordings, Trial(weights=tmp_path))
+    for fold in (2, 3):
+        division.fitted("LINEAR", "VISION", fold, 0, keep=True)
+    pieces = [tmp_path / f"LINEAR/VISION/fold-{fold}-seed-0" for fold in (2, 3)]
+    (pieces[1] / "policy.safetensors").write_bytes((pieces[0] / "policy.safetensors").read_bytes())
+    with pytest.raises(PolicyError, match="does not hold what its stamp"):
+        division.fitted("LINEAR", "VISION", 3, 0)
+    damaged = dataclasses.replace(division.trial, weights=tmp_path)
+    (pieces[0] / "policy.safetensors").write_bytes(b"no")
+    with pytest.raises(PolicyError, match="is not a saved policy"):
+        CrossValidation(recordings, damaged).fitted("LINEAR", "VISION", 2, 0)
+
+
+def test_weights_that_are_no_folder_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ConfigurationError, match="expected a folder of weights"):
+        Trial(weights=tmp_path / "none")
+
+
+@pytest.mark.parametrize("arguments", [[], ["TOKEN", "--all"], ["MEAN"], ["NOBODY"]])
+def test_nothing_to_fit_is_one_line(arguments: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["train", *arguments, "--out", str(tmp_path / "w")]) == 2
+    assert len(capsys.readouterr().err.strip().splitlines()) == 1
