@@ -1,6 +1,7 @@
 """Fixtures that drive Chromium without a network; tests that use them are skipped where it, or its driver, is absent.
 
-``tests/conftest.py`` gives them to every test; modules that use them carry the mark ``browser``. Chromium is the program that ``MIXO_CHROMIUM`` names, else one found on the path.
+``tests/conftest.py`` gives them to every test; modules that use them carry the mark ``browser``. Chromium is the
+program that ``MIXO_CHROMIUM`` names, else one found on the path.
 """
 
 from __future__ import annotations
