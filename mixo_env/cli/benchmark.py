@@ -64,9 +64,12 @@ class Benchmark:
         from mixo_env.leaderboard.board import build, requested
         from mixo_env.leaderboard.conditions import check_grouping
         from mixo_env.leaderboard.crossvalidation import Trial
+        from mixo_env.leaderboard.drives import drives_json
         from mixo_env.leaderboard.exports import to_csv, to_json
         from mixo_env.leaderboard.figures import draw_trajectories
         from mixo_env.leaderboard.report import print_leaderboard, to_markdown
+        from mixo_env.leaderboard.report_page import write_report
+        from mixo_env.leaderboard.trajectories import write_all
         from mixo_env.recordings.store import load_recordings
 
         recordings = load_recordings(None if self.recordings is None else str(self.recordings))
@@ -90,10 +93,13 @@ class Benchmark:
         write_text(folder / "leaderboard.md", to_markdown(board, sort=self.sort, by=self.by))
         write_json(folder / "leaderboard.json", to_json(board))
         write_text(folder / "scenes.csv", to_csv(board))
+        write_json(folder / "drives.json", drives_json(board))
         draw_trajectories(board, folder / "trajectories.png")
+        write_all(board, folder / "trajectories.zip")
+        page = write_report(folder)
         point_latest(folder)
         print_leaderboard(board, sort=self.sort, by=self.by)
-        print(f"Saved in {folder}: leaderboard.md, leaderboard.json, scenes.csv, trajectories.png, configuration.json")
+        print(f"Read {page}. Beside it: {', '.join(sorted(path.name for path in folder.iterdir() if path != page))}.")
         return 0
 
     def _resolved(self, board: Leaderboard, recordings: Recordings) -> dict[str, Any]:
