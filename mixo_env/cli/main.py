@@ -34,12 +34,14 @@ def commands() -> dict[str, type]:
     from mixo_env.cli.import_ import Import
     from mixo_env.cli.inspect import Inspect
     from mixo_env.cli.record import Record
+    from mixo_env.cli.report import Report
     from mixo_env.cli.score import Score
     from mixo_env.cli.simulate import Simulate
     from mixo_env.cli.train_vocabulary import TrainVocabulary
 
     return {
         "benchmark": Benchmark,
+        "report": Report,
         "score": Score,
         "simulate": Simulate,
         "inspect": Inspect,

@@ -23,7 +23,7 @@ from mixo_env.recordings.variants import as_variant
 POINTS = 40
 """Of a path at most: a scene lasts 20 s, so a point stands for half a second."""
 
-MOST_NUMBERS = 800_000
+MOST_NUMBERS = 700_000
 """On the page: of too many scenes, the most winding ones of every log come first."""
 
 
@@ -34,7 +34,8 @@ def drives_json(board: Leaderboard) -> dict[str, Any]:
     """
     recordings, truth = board.recordings, board.truths[board.headline]
     rows = max(1, sum(len(standings.rows) for standings in board.standings))
-    scenes = _winding_first(board)[: max(1, MOST_NUMBERS // (rows * POINTS * 2))]
+    numbers = rows * POINTS * (2 + len(recordings.experts))  # of one scene at most: a path and weights a row
+    scenes = _winding_first(board)[: max(1, MOST_NUMBERS // numbers)]
     chosen = recordings.select(scenes=[recordings.scenes[i].name for i in sorted(scenes)])
     scenes = sorted(scenes)
     steps = [_thinned(*truth.offsets[i : i + 2]) for i in scenes]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -38,6 +39,9 @@ def to_json(board: Leaderboard) -> dict[str, Any]:
         "noise_floor_deg_per_m": board.noise_floor,
         "conventions": conventions(board),
         "firing_order": order and _plain(asdict(order) | {"cost_deg": order.cost_deg}),
+        "probability_of_improvement": {
+            other.name: row.improvement_on(other) for other in rows if other.name in REFERENCES and other is not row
+        },
         "lengths": [
             {"length_m": length, "samples": samples, "scenes": scenes}
             for length, (samples, scenes) in board.truths[board.headline].pieces().items()
@@ -50,16 +54,18 @@ def to_json(board: Leaderboard) -> dict[str, Any]:
 
 def _table_json(standings: Standings) -> dict[str, Any]:
     return {
-        "rows": [_row_json(row, standings.comparisons) for row in standings.rows],
+        "rows": [_row_json(row, standings.comparisons, standings.rows) for row in standings.rows],
         "comparisons": _comparisons_json(standings.comparisons),
         "one_fold": standings.one_fold,
-        "one_fold_rows": [_row_json(row, standings.one_fold_comparisons) for row in standings.one_fold_rows],
+        "one_fold_rows": [
+            _row_json(row, standings.one_fold_comparisons, standings.one_fold_rows) for row in standings.one_fold_rows
+        ],
         "one_fold_comparisons": _comparisons_json(standings.one_fold_comparisons),
         "groups": [
             {
                 "by": group.by,
                 "name": group.name,
-                "rows": [_row_json(row, group.comparisons) for row in group.rows],
+                "rows": [_row_json(row, group.comparisons, group.rows) for row in group.rows],
                 "logs": group.comparisons.logs,
                 "letters": dict(group.comparisons.letters),
             }
@@ -109,7 +115,7 @@ def to_csv(board: Leaderboard) -> str:
     return text.getvalue()
 
 
-def _row_json(row: Row, comparisons: Comparisons) -> dict[str, Any]:
+def _row_json(row: Row, comparisons: Comparisons, rows: Sequence[Row]) -> dict[str, Any]:
     found = {reference: comparisons.between(row.name, reference) for reference in REFERENCES}
     lost, instantly = (lost_mean_std(row, lost) for lost in (row.lost, row.lost_instantly))
     return {
@@ -123,6 +129,9 @@ def _row_json(row: Row, comparisons: Comparisons) -> dict[str, Any]:
         "lost_per_scene_instantly": instantly and {"mean": instantly[0], "std": instantly[1]},
         "scores": {truth: asdict(score) for truth, score in row.scores.items()},
         "interquartile_mean_deg_per_m": row.interquartile_mean(),
+        "probability_of_improvement": {
+            other.name: row.improvement_on(other) for other in rows if other.name in REFERENCES and other is not row
+        },
         "lengths": [asdict(length) for length in row.lengths],
         "anatomy": row.anatomy and asdict(row.anatomy),
     }

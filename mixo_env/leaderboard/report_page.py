@@ -125,7 +125,11 @@ def _rows(rows: Sequence[Values]) -> list[dict[str, Any]]:
         score = next(iter(row["scores"].values()))
         shown.append(
             {name: row[name] for name in ("policy", "privileged", "reference", "letters", "differences")}
-            | {name: row[name] for name in ("lost_per_scene", "interquartile_mean_deg_per_m", "lengths", "anatomy")}
+            | {
+                name: row[name]
+                for name in ("lost_per_scene", "interquartile_mean_deg_per_m", "probability_of_improvement")
+            }
+            | {name: row[name] for name in ("lengths", "anatomy")}
             | score
         )
     return shown

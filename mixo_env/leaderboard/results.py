@@ -42,9 +42,7 @@ def read_results(folder: Path) -> Results:
     try:
         _check(folder, found)
     except (KeyError, TypeError, AttributeError, StopIteration) as error:
-        raise ResultsError(
-            f"{folder}: expected results of this version of mixo, {error!r} is missing: {AGAIN}"
-        ) from None
+        raise ResultsError(f"{folder}: expected results of this version of mixo ({error!r}): {AGAIN}") from None
     return found
 
 
@@ -56,9 +54,7 @@ def _read(path: Path) -> dict[str, Any]:
     except OSError:
         raise ResultsError(f"{path}: expected a file that `mixo benchmark` writes, found none: {AGAIN}") from None
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
-        raise ResultsError(
-            f"{path}: expected whole JSON, got a damaged or half-written file ({error}): {AGAIN}"
-        ) from None
+        raise ResultsError(f"{path}: expected whole JSON, got a damaged file ({error}): {AGAIN}") from None
 
 
 def _check(folder: Path, results: Results) -> None:

@@ -17,7 +17,7 @@ function style(name) {
 function layout(more) {
   const narrow = window.innerWidth < 600;
   const font = { family: "system-ui, Arial, sans-serif", size: 13, color: "#1a1a1a" };
-  const legend = { orientation: "h", y: -0.25, yanchor: "top" };
+  const legend = { orientation: "h", yref: "container", y: 0, yanchor: "bottom" };
   const margin = { l: narrow ? 48 : 64, r: 12, t: 12, b: 48 };
   return { font, margin, legend, hovermode: "closest", paper_bgcolor: "#fff", plot_bgcolor: "#fff", ...more };
 }
@@ -40,7 +40,7 @@ function drawIntervals() {
   };
   Plotly.react("intervals", [trace], layout({
     height: Math.max(220, 70 + 22 * rows.length),
-    xaxis: axis("RTE, deg/m (hollow: reads the truth)", { rangemode: "tozero" }),
+    xaxis: axis("RTE, deg/m", { rangemode: "tozero" }),
     yaxis: axis("", { tickvals: places, ticktext: names, range: [-0.7, rows.length - 0.3], title: undefined }),
   }), PLAIN);
 }
