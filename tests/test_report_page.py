@@ -112,8 +112,9 @@ def test_every_trajectory_is_saved_as_tum(results: Path) -> None:
     with zipfile.ZipFile(results / "trajectories.zip") as archive:
         names = archive.namelist()
         lines = archive.read("VISION/HUBER/scene-2001.txt").decode().splitlines()
+        truth = archive.read("groundtruth/scene-2001.txt").decode().splitlines()
     assert len(names) == 4 * (1 + 4)
-    assert (len(lines), len(lines[0].split())) == (81, 8)
+    assert (lines[0], len(lines), len(lines[0].split())) == (truth[0], len(truth), 8)
 
 
 def test_interquartile_mean_and_improvement_by_hand() -> None:

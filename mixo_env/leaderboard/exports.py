@@ -39,9 +39,6 @@ def to_json(board: Leaderboard) -> dict[str, Any]:
         "noise_floor_deg_per_m": board.noise_floor,
         "conventions": conventions(board),
         "firing_order": order and _plain(asdict(order) | {"cost_deg": order.cost_deg}),
-        "probability_of_improvement": {
-            other.name: row.improvement_on(other) for other in rows if other.name in REFERENCES and other is not row
-        },
         "lengths": [
             {"length_m": length, "samples": samples, "scenes": scenes}
             for length, (samples, scenes) in board.truths[board.headline].pieces().items()
@@ -53,14 +50,13 @@ def to_json(board: Leaderboard) -> dict[str, Any]:
 
 
 def _table_json(standings: Standings) -> dict[str, Any]:
+    part, of_part = standings.one_fold_rows, standings.one_fold_comparisons
     return {
         "rows": [_row_json(row, standings.comparisons, standings.rows) for row in standings.rows],
         "comparisons": _comparisons_json(standings.comparisons),
         "one_fold": standings.one_fold,
-        "one_fold_rows": [
-            _row_json(row, standings.one_fold_comparisons, standings.one_fold_rows) for row in standings.one_fold_rows
-        ],
-        "one_fold_comparisons": _comparisons_json(standings.one_fold_comparisons),
+        "one_fold_rows": [_row_json(row, of_part, part) for row in part],
+        "one_fold_comparisons": _comparisons_json(of_part),
         "groups": [
             {
                 "by": group.by,

@@ -43,7 +43,7 @@ const COLUMNS = [
   { name: "ATE m", value: (row) => row.ate_m, text: (row) => fixed(row.ate_m, 2) },
   { name: "ATE deg", value: (row) => row.ate_deg, text: (row) => fixed(row.ate_deg, 3) },
   { name: "IQM deg/m", value: (row) => row.interquartile_mean_deg_per_m, text: (row) => fixed(row.interquartile_mean_deg_per_m, 4) },
-  { name: "P(< LINEAR)", value: (row) => row.probability_of_improvement.LINEAR, text: (row) => fixed(row.probability_of_improvement.LINEAR, 2) },
+  { name: "P(< LINEAR)", value: (row) => row.probability_of_improvement?.LINEAR, text: (row) => fixed(row.probability_of_improvement?.LINEAR, 2) },
   { name: "Lost/scene", value: (row) => row.lost_per_scene?.mean, text: (row) => fixed(row.lost_per_scene?.mean, 2) },
   { name: "ATE > 0.5 m", value: (row) => row.high_ate_share, text: (row) => `${fixed(100 * row.high_ate_share, 0)} %` },
 ];
