@@ -89,6 +89,17 @@ def test_missing_and_half_written_files_are_named(results: Path, tmp_path: Path)
         read_results(folder)
 
 
+def test_a_failure_suite_of_another_shape_or_data_is_refused(results: Path, tmp_path: Path) -> None:
+    folder = changed(results, tmp_path / "changed", "", lambda value: None)
+    for text, message in (
+        ('{"data_version": "old-1", "matrix": {}}', r"failures\.json of old-1"),
+        ('{"matrix": {"LINEAR": 3}}', "expected a matrix"),
+    ):
+        (folder / "failures.json").write_text(text, encoding="utf-8")
+        with pytest.raises(ResultsError, match=message):
+            read_results(folder)
+
+
 def test_the_page_is_small_reaches_no_network_and_says_no_absolute_path(results: Path) -> None:
     text = (results / "report.html").read_text(encoding="utf-8")
     assert len(text.encode()) < 5_000_000
@@ -172,6 +183,19 @@ def test_choices_change_what_is_shown(page: Page, results: Path) -> None:
     before = page.locator("#path .scatterlayer .trace").count()
     page.uncheck("#methods input >> nth=0")
     assert page.locator("#path .scatterlayer .trace").count() == before - 1
+
+
+@pytest.mark.browser
+def test_the_failure_matrix_is_a_table(page: Page, results: Path, tmp_path: Path) -> None:
+    failures = {"matrix": {"LINEAR": {"frozen": 1.5}, "HUBER": {"black": 2.0}}}
+    file = tmp_path / "failures.html"
+    file.write_text(make_page(replace(read_results(results), failures=failures)), encoding="utf-8")
+    open_file(page, file)
+    assert page.locator("#failures tr").all_inner_texts() == [
+        "Row\tfrozen\tblack",
+        "LINEAR\t1.5000\t-",
+        "HUBER\t-\t2.0000",
+    ]
 
 
 @pytest.mark.browser

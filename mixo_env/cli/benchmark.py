@@ -58,9 +58,11 @@ class Benchmark:
 
     def run(self) -> int:
         """Print the leaderboard and write it, with figure, per-scene results and configuration."""
+        from msgspec import json
+
         from mixo_env.cli.progress import progress
         from mixo_env.cli.results import point_latest, run_folder
-        from mixo_env.files import write_json, write_text
+        from mixo_env.files import write_bytes, write_json, write_text
         from mixo_env.leaderboard.board import build, requested
         from mixo_env.leaderboard.conditions import check_grouping
         from mixo_env.leaderboard.crossvalidation import Trial
@@ -93,7 +95,7 @@ class Benchmark:
         write_text(folder / "leaderboard.md", to_markdown(board, sort=self.sort, by=self.by))
         write_json(folder / "leaderboard.json", to_json(board))
         write_text(folder / "scenes.csv", to_csv(board))
-        write_json(folder / "drives.json", drives_json(board))
+        write_bytes(folder / "drives.json", json.encode(drives_json(board)))  # long lists: not a number a line
         draw_trajectories(board, folder / "trajectories.png")
         write_all(board, folder / "trajectories.zip")
         page = write_report(folder)

@@ -17,7 +17,8 @@ class Results:
 
     Attributes:
         leaderboard, configuration, drives: of ``leaderboard.json``, ``configuration.json`` and ``drives.json``.
-        failures: of ``failures.json``, which the failure suite writes; ``None`` where it was not recorded.
+        failures: of ``failures.json``, of the failure suite: ``data_version``, and ``matrix``, row -> fault -> number;
+            ``None`` where it was not recorded.
     """
 
     leaderboard: dict[str, Any]
@@ -71,6 +72,8 @@ def _check(folder: Path, results: Results) -> None:
             f"{folder}: leaderboard.json and configuration.json do not name the same scenes ({len(differ)} differ, "
             f"{min(differ)} first): {AGAIN}"
         )
+    if results.failures is not None and not all(isinstance(row, dict) for row in results.failures["matrix"].values()):
+        raise ResultsError(f"{folder}/failures.json: expected a matrix, row -> fault -> number: record it anew")
     if not any(table["rows"] or table["one_fold_rows"] for table in board["tracks"].values()):
         raise ResultsError(f"{folder}: expected at least one scored policy, found none: ask for one with --policies")
     for part in (board, board["night"]):

@@ -154,7 +154,16 @@ function drawFailures() {
     place.replaceChildren(element("p", "Not recorded in this folder of results."));
     return;
   }
-  place.replaceChildren(element("pre", JSON.stringify(failures, null, 1)));
+  const rows = Object.entries(failures.matrix); // row -> fault -> number
+  const names = [...new Set(rows.flatMap(([, values]) => Object.keys(values)))];
+  const head = element("thead");
+  const line = element("tr");
+  for (const name of ["Row", ...names]) line.append(element("th", name, { scope: "col" }));
+  head.append(line);
+  const columns = [{ text: ([row]) => row }, ...names.map((name) => ({ text: ([, values]) => fixed(values[name], 4) }))];
+  const table = element("table");
+  table.append(head, body(rows, columns));
+  place.replaceChildren(table);
 }
 
 function drawMade() {
