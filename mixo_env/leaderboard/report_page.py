@@ -124,7 +124,8 @@ def _rows(rows: Sequence[Values]) -> list[dict[str, Any]]:
     for row in rows:
         score = next(iter(row["scores"].values()))
         shown.append(
-            {name: row[name] for name in ("policy", "privileged", "reference", "letters", "differences")}
+            {name: row[name] for name in ("policy", "privileged", "reference", "letters")}
+            | {"differences": {name: found and _short(found) for name, found in row["differences"].items()}}
             | {
                 name: row[name]
                 for name in ("lost_per_scene", "interquartile_mean_deg_per_m", "probability_of_improvement")
@@ -133,3 +134,7 @@ def _rows(rows: Sequence[Values]) -> list[dict[str, Any]]:
             | score
         )
     return shown
+
+
+def _short(difference: Values) -> dict[str, Any]:
+    return {name: difference[name] for name in ("share", "p_holm")}
