@@ -117,6 +117,7 @@ class Benchmark:
             "recordings": str(self.recordings or DEFAULT_RECORDINGS),
             "tracks": [standings.track for standings in board.standings],
             "policies": list(board.policies),
+            "asked": {"tracks": list(self.tracks), "policies": list(self.policies)},
             "seed": self.seed,
             "seeds": self.seeds,
             "ground_truth": self.ground_truth,

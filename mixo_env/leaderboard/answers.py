@@ -47,7 +47,8 @@ def command(configuration: Values) -> str:
     if recordings != "mixocity":
         words += ["--recordings", PurePath(recordings).name]
     for name in ("tracks", "policies"):
-        words += [f"--{name}", *configuration[name]] if configuration[name] else []
+        asked = configuration["asked"][name]
+        words += [f"--{name}", *asked] if asked else []
     for name, usual in (("seed", 0), ("seeds", 1), ("ground_truth", "poses")):
         if configuration[name] != usual:
             words += [f"--{name.replace('_', '-')}", str(configuration[name])]
@@ -95,7 +96,7 @@ def _data(results: Values) -> str:
     sure = "" if results["logs"] >= 10 else " Too few drives for a ranking: this shows that everything works."
     return (
         f"{results['data_version']}: {count_of(len(results['scenes']), 'scene')} of "
-        f"{count_of(results['logs'], 'drive')}, every row on all of them{dark}; seed {results['seed']}.{sure}"
+        f"{count_of(results['logs'], 'drive')}, every row of the table on all of them{dark}; seed {results['seed']}.{sure}"
     )
 
 
