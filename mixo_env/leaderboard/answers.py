@@ -96,7 +96,7 @@ def _data(results: Values) -> str:
     sure = "" if results["logs"] >= 10 else " Too few drives for a ranking: this shows that everything works."
     return (
         f"{results['data_version']}: {count_of(len(results['scenes']), 'scene')} of "
-        f"{count_of(results['logs'], 'drive')}, every row of the table on all of them{dark}; seed {results['seed']}.{sure}"
+        f"{count_of(results['logs'], 'drive')}, every row of the table on all{dark}; seed {results['seed']}.{sure}"
     )
 
 
