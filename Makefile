@@ -4,7 +4,7 @@ BIN := .venv/bin
 WORKERS ?= 2
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: benchmark mixocity test integration integrations site faults coverage lint types unit format clean
+.PHONY: benchmark mixocity test integration integrations site faults browser coverage lint types unit format clean
 
 benchmark: .venv/installed  ## the leaderboard on the bundled recordings
 	$(BIN)/mixo benchmark
@@ -24,16 +24,19 @@ types: .venv/installed
 unit: .venv/installed
 	$(BIN)/python -m pytest -n 2 --dist loadscope -m "not integration"
 
-integration: integrations site faults  ## minutes each; peers that are absent are skipped
+integration: integrations site faults browser  ## minutes each; peers that are absent are skipped
 
 integrations: .venv/integrations  ## other libraries, programs and virtual environments
-	$(BIN)/python -m pytest -n 2 --dist loadscope -m "integration and not site and not faults"
+	$(BIN)/python -m pytest -n 2 --dist loadscope -m "integration and not site and not faults and not browser"
 
 site: .venv/integrations  ## README, pages and notebook, followed word by word
 	$(BIN)/python -m pytest -n 2 --dist loadscope -m site
 
 faults: .venv/integrations  ## kills and damage at random
 	$(BIN)/python -m pytest -n 2 --dist loadscope -m faults
+
+browser: .venv/integrations  ## pages opened in Chromium, found by MIXO_CHROMIUM or on the path
+	$(BIN)/python -m pytest -m browser
 
 # Machine code leaves no trace, so the second run takes the kernels as plain Python, on tests with tiny inputs;
 # a drive through the image front end is none of these.
@@ -63,7 +66,7 @@ format: .venv/installed
 	touch $@
 
 .venv/integrations: .venv/installed
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev,cluster,integrations,torchrl,learned]'
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev,cluster,integrations,torchrl,learned,browser]'
 	touch $@
 
 clean:  ## everything made here, machine code kept between runs included

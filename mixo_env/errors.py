@@ -38,6 +38,10 @@ class PolicyError(MixoError):
     """A policy that does not fit the recordings or the environment it is used on (exit code 1)."""
 
 
+class ResultsError(MixoError):
+    """A folder of results is incomplete or contradicts itself."""
+
+
 class OutputError(MixoError):
     """A file or folder that cannot be written: read-only, full, or something in the way (exit code 1)."""
 

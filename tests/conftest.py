@@ -1,10 +1,12 @@
-"""Every test of a part of the long ones is an integration test."""
+"""Every test of a part of the long ones is an integration test; any test may drive a browser."""
 
 from __future__ import annotations
 
 import pytest
 
-PARTS = ("site", "faults")
+from tests.browser import browser, page  # noqa: F401
+
+PARTS = ("site", "faults", "browser")
 
 
 @pytest.hookimpl(tryfirst=True)

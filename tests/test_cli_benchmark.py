@@ -14,7 +14,8 @@ from mixo_env.cli.benchmark import Benchmark
 from mixo_env.recordings.store import save_recordings
 from tests.synthetic import synthetic_recordings
 
-FILES = {"leaderboard.md", "leaderboard.json", "scenes.csv", "trajectories.png", "configuration.json"}
+FILES = {"leaderboard.md", "leaderboard.json", "scenes.csv", "trajectories.png", "configuration.json", "drives.json"}
+FILES |= {"report.html", "trajectories.zip"}
 
 
 @pytest.fixture(scope="module")

@@ -62,15 +62,20 @@ class Benchmark:
 
     def run(self) -> int:
         """Print the leaderboard and write it, with figure, per-scene results and configuration."""
+        from msgspec import json
+
         from mixo_env.cli.progress import progress
         from mixo_env.cli.results import point_latest, run_folder
-        from mixo_env.files import write_json, write_text
+        from mixo_env.files import write_bytes, write_json, write_text
         from mixo_env.leaderboard.board import build, requested
         from mixo_env.leaderboard.conditions import check_grouping
         from mixo_env.leaderboard.crossvalidation import Trial
+        from mixo_env.leaderboard.drives import drives_json
         from mixo_env.leaderboard.exports import to_csv, to_json
         from mixo_env.leaderboard.figures import draw_trajectories
         from mixo_env.leaderboard.report import print_leaderboard, to_markdown
+        from mixo_env.leaderboard.report_page import write_report
+        from mixo_env.leaderboard.trajectories import write_all
         from mixo_env.recordings.store import load_recordings
 
         recordings = load_recordings(None if self.recordings is None else str(self.recordings))
@@ -94,10 +99,13 @@ class Benchmark:
         write_text(folder / "leaderboard.md", to_markdown(board, sort=self.sort, by=self.by))
         write_json(folder / "leaderboard.json", to_json(board))
         write_text(folder / "scenes.csv", to_csv(board))
+        write_bytes(folder / "drives.json", json.encode(drives_json(board)))  # long lists: not a number a line
         draw_trajectories(board, folder / "trajectories.png")
+        write_all(board, folder / "trajectories.zip")
+        page = write_report(folder)
         point_latest(folder)
         print_leaderboard(board, sort=self.sort, by=self.by)
-        print(f"Saved in {folder}: leaderboard.md, leaderboard.json, scenes.csv, trajectories.png, configuration.json")
+        print(f"Read {page}. Beside it: {', '.join(sorted(path.name for path in folder.iterdir() if path != page))}.")
         return 0
 
     def _resolved(self, board: Leaderboard, recordings: Recordings) -> dict[str, Any]:
@@ -113,6 +121,7 @@ class Benchmark:
             "recordings": str(self.recordings or DEFAULT_RECORDINGS),
             "tracks": [standings.track for standings in board.standings],
             "policies": list(board.policies),
+            "asked": {"tracks": list(self.tracks), "policies": list(self.policies)},
             "seed": self.seed,
             "seeds": self.seeds,
             "weights": None if self.weights is None else str(self.weights),

@@ -34,6 +34,7 @@ def commands() -> dict[str, type]:
     from mixo_env.cli.import_ import Import
     from mixo_env.cli.inspect import Inspect
     from mixo_env.cli.record import Record
+    from mixo_env.cli.report import Report
     from mixo_env.cli.score import Score
     from mixo_env.cli.simulate import Simulate
     from mixo_env.cli.train import Train
@@ -41,6 +42,7 @@ def commands() -> dict[str, type]:
 
     return {
         "benchmark": Benchmark,
+        "report": Report,
         "score": Score,
         "train": Train,
         "simulate": Simulate,

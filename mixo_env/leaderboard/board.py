@@ -226,7 +226,8 @@ class Builder:
         if len(whole) < len(rows):
             one_fold = self._protocol.tested_folds[-1]
             scenes = np.array([scene.fold == one_fold for scene in self._protocol.recordings.scenes])
-            part = tuple(self._scorer.restrict(row, scenes) for row in rows if row.run.learns)
+            learned = [self._scorer.restrict(row, scenes) for row in rows if row.run.learns]
+            part = tuple(self._scorer.detailed(track, row) for row in learned)
         recordings = self._protocol.recordings
         return Standings(
             track=track,

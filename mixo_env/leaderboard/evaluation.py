@@ -129,6 +129,17 @@ class Errors:
     steps: NDArray[np.int64]
 
 
+def scene_means(samples: RelativeSamples, scenes: int) -> tuple[FloatArray, FloatArray, NDArray[np.int64]]:
+    """Mean RTE [%] and [deg/m] of each scene ``(scenes,)``, NaN without a sample, and their number."""
+    counts = np.bincount(samples.scene, minlength=scenes)
+    sums = (
+        np.bincount(samples.scene, weights=values, minlength=scenes)
+        for values in (samples.translation_percent, samples.rotation_deg_per_m)
+    )
+    translation, rotation = (np.where(counts > 0, total / np.maximum(counts, 1), np.nan) for total in sums)
+    return translation, rotation, counts
+
+
 def mean_errors(runs: Sequence[Errors]) -> Errors:
     """The mean of each error over runs of several seeds: what a row reports, never its best run."""
     if len(runs) == 1:

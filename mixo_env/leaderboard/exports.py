@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import csv
 import io
+from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from mixo_env.geometry import FloatArray
+from mixo_env.leaderboard.anatomy import OUTLIER_SIGMAS
 from mixo_env.leaderboard.board import Leaderboard, Standings
-from mixo_env.leaderboard.comparisons import Comparison, Comparisons
+from mixo_env.leaderboard.comparisons import REFERENCES, Comparison, Comparisons
+from mixo_env.leaderboard.evaluation import scene_means
 from mixo_env.leaderboard.firing_order import firing_order
 from mixo_env.leaderboard.rows import Row
 from mixo_env.leaderboard.sentences import conventions, lost_mean_std
-from mixo_env.metrics.relative import RelativeSamples
 from mixo_env.recordings.presets import recorded_preset
 from mixo_env.recordings.schema import TRUE_DISTANCE
 from mixo_env.tables import csv_cell
@@ -45,23 +45,26 @@ def to_json(board: Leaderboard) -> dict[str, Any]:
             {"length_m": length, "samples": samples, "scenes": scenes}
             for length, (samples, scenes) in board.truths[board.headline].pieces().items()
         ],
+        "outlier_sigmas": OUTLIER_SIGMAS,
         "tracks": {standings.track: _table_json(standings) for standings in board.standings},
         "night": board.night and to_json(board.night),
     }
 
 
 def _table_json(standings: Standings) -> dict[str, Any]:
+    part, of_part = standings.one_fold_rows, standings.one_fold_comparisons
     return {
-        "rows": [_row_json(row) for row in standings.rows],
+        "rows": [_row_json(row, standings.comparisons, standings.rows) for row in standings.rows],
         "comparisons": _comparisons_json(standings.comparisons),
         "one_fold": standings.one_fold,
-        "one_fold_rows": [_row_json(row) for row in standings.one_fold_rows],
-        "one_fold_comparisons": _comparisons_json(standings.one_fold_comparisons),
+        "one_fold_rows": [_row_json(row, of_part, part) for row in part],
+        "one_fold_comparisons": _comparisons_json(of_part),
         "groups": [
             {
                 "by": group.by,
                 "name": group.name,
-                "rows": [_row_json(row) for row in group.rows],
+                "rows": [_row_json(row, group.comparisons, group.rows) for row in group.rows],
+                "logs": group.comparisons.logs,
                 "letters": dict(group.comparisons.letters),
             }
             for group in standings.groups
@@ -94,7 +97,7 @@ def to_csv(board: Leaderboard) -> str:
         tested_in_part = [row for row in standings.one_fold_rows if row.name not in {r.name for r in standings.rows}]
         for row in (*standings.rows, *tested_in_part):
             for truth, errors in row.errors.items():
-                translation, rotation, samples = _scene_means(errors.relative, len(entries))
+                translation, rotation, samples = scene_means(errors.relative, len(entries))
                 for i in np.flatnonzero(row.run.tested):
                     numbers = (
                         errors.absolute.translation_m[i],
@@ -110,26 +113,25 @@ def to_csv(board: Leaderboard) -> str:
     return text.getvalue()
 
 
-def _scene_means(samples: RelativeSamples, scenes: int) -> tuple[FloatArray, FloatArray, NDArray[np.int64]]:
-    """Mean RTE [%] and [deg/m] of each scene ``(scenes,)``, NaN without a sample, and their number."""
-    counts = np.bincount(samples.scene, minlength=scenes)
-    sums = (
-        np.bincount(samples.scene, weights=values, minlength=scenes)
-        for values in (samples.translation_percent, samples.rotation_deg_per_m)
-    )
-    translation, rotation = (np.where(counts > 0, total / np.maximum(counts, 1), np.nan) for total in sums)
-    return translation, rotation, counts
-
-
-def _row_json(row: Row) -> dict[str, Any]:
+def _row_json(row: Row, comparisons: Comparisons, rows: Sequence[Row]) -> dict[str, Any]:
+    found = {reference: comparisons.between(row.name, reference) for reference in REFERENCES}
     lost, instantly = (lost_mean_std(row, lost) for lost in (row.lost, row.lost_instantly))
     return {
         "policy": row.name,
         "privileged": row.run.privileged,
         "reference": not row.votes,
+        "fused": row.fused,
+        "letters": comparisons.letters.get(row.name, ""),
+        "differences": {name: one and comparison_json(one) for name, one in found.items()},
         "lost_per_scene": lost and {"mean": lost[0], "std": lost[1]},
         "lost_per_scene_instantly": instantly and {"mean": instantly[0], "std": instantly[1]},
         "scores": {truth: asdict(score) for truth, score in row.scores.items()},
+        "interquartile_mean_deg_per_m": row.interquartile_mean(),
+        "probability_of_improvement": {
+            other.name: row.improvement_on(other) for other in rows if other.name in REFERENCES and other is not row
+        },
+        "lengths": [asdict(length) for length in row.lengths],
+        "anatomy": row.anatomy and asdict(row.anatomy),
     }
 
 

@@ -8,11 +8,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from mixo_env.geometry import FloatArray
+from mixo_env.leaderboard.anatomy import anatomy_of
 from mixo_env.leaderboard.comparisons import Comparisons, compare_rows
 from mixo_env.leaderboard.crossvalidation import Run
-from mixo_env.leaderboard.evaluation import Errors, Truth, lost_tracks, mean_errors
-from mixo_env.metrics.aggregate import share_above
+from mixo_env.leaderboard.evaluation import Errors, Truth, lost_tracks, mean_errors, scene_means
+from mixo_env.metrics.aggregate import interquartile_mean, probability_of_improvement, share_above
+from mixo_env.metrics.anatomy import ErrorAnatomy
 from mixo_env.metrics.bootstrap import Interval, interval_over_groups
+from mixo_env.metrics.relative import RelativeSamples
 from mixo_env.metrics.tracks import LostTracks
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.variants import as_variant, variants
@@ -43,6 +47,22 @@ class Score:
 
 
 @dataclass(frozen=True)
+class AtLength:
+    """RTE of one row at one length L, on the tested scenes, against the headline's truth.
+
+    Attributes:
+        length_m: L.
+        translation_percent, rotation_deg_per_m: mean with its interval over logs; NaN without a piece.
+        samples: pieces.
+    """
+
+    length_m: float
+    translation_percent: Interval
+    rotation_deg_per_m: Interval
+    samples: int
+
+
+@dataclass(frozen=True)
 class Row:
     """One policy in one track, scored against every recorded truth.
 
@@ -54,6 +74,9 @@ class Row:
         lost_instantly: the same if cameras tracked again with the first good pair of images.
         fused: several experts may take part (not one alone).
         votes: false for an expert that has no vote in this track and is shown for reference.
+        scene_deg_per_m: ``(seeds, scenes)`` headline RTE of every scene, NaN where it has no sample.
+        lengths: RTE by length of path; empty for a row restricted to some scenes.
+        anatomy: what its headline error is made of; ``None`` likewise.
     """
 
     run: Run
@@ -63,6 +86,9 @@ class Row:
     lost_instantly: LostTracks | None
     fused: bool
     votes: bool
+    scene_deg_per_m: FloatArray
+    lengths: tuple[AtLength, ...] = ()
+    anatomy: ErrorAnatomy | None = None
 
     @property
     def name(self) -> str:
@@ -73,6 +99,19 @@ class Row:
     def headline(self) -> Score:
         """Its score against the headline's truth."""
         return next(iter(self.scores.values()))
+
+    def interquartile_mean(self) -> float:
+        """Of the headline RTE [deg/m] over tested scenes and seeds."""
+        return interquartile_mean(self._tested_scenes())
+
+    def improvement_on(self, other: Row) -> float:
+        """Chance that it errs less than another row, tested on the same scenes, on one of them."""
+        return probability_of_improvement(self._tested_scenes(), other._tested_scenes())
+
+    def _tested_scenes(self) -> FloatArray:
+        """``(seeds, tested scenes with a sample)``: which scenes have one depends on the truth alone."""
+        tested = self.scene_deg_per_m[:, self.run.tested]
+        return tested[:, np.isfinite(tested).all(axis=0)]
 
 
 class Scorer:
@@ -95,21 +134,42 @@ class Scorer:
 
     def row(self, track: str, run: Run) -> Row:
         """Measure a run against every truth."""
-        errors = {
-            name: mean_errors([truth.measure(travel) for travel in run.travels[name]])
-            for name, truth in self._truths.items()
+        measured = {
+            name: [truth.measure(travel) for travel in run.travels[name]] for name, truth in self._truths.items()
         }
-        scores = {truth: self.score(measured, run.tested) for truth, measured in errors.items()}
+        errors = {name: mean_errors(seeds) for name, seeds in measured.items()}
+        headline = next(iter(self._truths))
+        scenes = np.stack([scene_means(seed.relative, len(run.tested))[1] for seed in measured[headline]])
+        scores = {name: self.score(errors_of, run.tested) for name, errors_of in errors.items()}
         recordings, alone = as_variant(self._recordings, run.name), variants(self._recordings).get(run.name, run.name)
         lost, instantly = (lost_tracks(recordings, alone, instantly=instantly) for instantly in (False, True))
         fused = alone not in recordings.experts
         votes = fused or run.name in recordings.voters(track)
-        return Row(run, errors, scores, lost, instantly, fused, votes)
+        return self.detailed(track, Row(run, errors, scores, lost, instantly, fused, votes, scenes))
+
+    def detailed(self, track: str, row: Row) -> Row:
+        """The same row with its errors by length and its anatomy, on the scenes it was tested on."""
+        headline, truth = next(iter(self._truths.items()))
+        lengths = self._by_length(row.errors[headline].relative, row.run.tested)
+        return replace(row, lengths=lengths, anatomy=anatomy_of(row.run, track, self._recordings, truth, headline))
+
+    def _by_length(self, relative: RelativeSamples, scenes: NDArray[np.bool_]) -> tuple[AtLength, ...]:
+        """RTE at every length that was asked for, of ``scenes``."""
+        found = []
+        for length in relative.lengths_m:
+            here = (relative.length_m == length) & scenes[relative.scene]
+            logs = self._logs[relative.scene[here]]
+            translation, rotation = (
+                interval_over_groups(values[here], logs, seed=self._seed)
+                for values in (relative.translation_percent, relative.rotation_deg_per_m)
+            )
+            found.append(AtLength(length, translation, rotation, int(here.sum())))
+        return tuple(found)
 
     def restrict(self, row: Row, scenes: NDArray[np.bool_]) -> Row:
         """The same row scored on some scenes only."""
         scores = {truth: self.score(errors, scenes) for truth, errors in row.errors.items()}
-        return replace(row, run=replace(row.run, tested=scenes), scores=scores)
+        return replace(row, run=replace(row.run, tested=scenes), scores=scores, lengths=(), anatomy=None)
 
     def score(self, errors: Errors, scenes: NDArray[np.bool_]) -> Score:
         """Statistics of the errors on ``scenes`` ``(scenes,)``."""

@@ -6,6 +6,7 @@ They are what the leaderboard scores, so ``mixo evaluate`` finds its numbers in 
 from __future__ import annotations
 
 import re
+import zipfile
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,7 +15,8 @@ from typing import Literal
 import numpy as np
 
 from mixo_env.errors import ConfigurationError
-from mixo_env.leaderboard.board import choose, shown_in
+from mixo_env.files import atomic_path
+from mixo_env.leaderboard.board import Leaderboard, choose, shown_in
 from mixo_env.leaderboard.crossvalidation import CrossValidation, Run, Trial
 from mixo_env.leaderboard.evaluation import FLOORS, Truth, poses
 from mixo_env.policies.agent import Frozen
@@ -25,6 +27,7 @@ from mixo_env.policies.registry import names as policy_names
 from mixo_env.recordings.collection import Recordings
 from mixo_env.trajectory import Trajectory, write_kitti, write_tum
 from mixo_env.trajectory.axes import BODY_AXES
+from mixo_env.trajectory.formats import tum_text
 from mixo_env.trajectory.planar import PlanarPoses
 
 Format = Literal["tum", "kitti"]
@@ -132,6 +135,34 @@ def write_way(folder: Path, way: Way, form: Format) -> Path:
     else:
         write_kitti(path, _in_camera_axes(way.trajectory))
     return path
+
+
+def write_all(board: Leaderboard, path: Path) -> None:
+    """Write the truth's and every row's way through every scene it was tested on: ``TRACK/ROW/SCENE.txt``, in one zip.
+
+    A zip, because a benchmark has ten thousand of them; the same numbers make the same bytes.
+    """
+    truth = board.truths[board.headline]
+    everywhere = np.ones(len(board.recordings), np.bool_)
+    texts: dict[bytes, list[tuple[str, str]]] = {}
+    with atomic_path(path) as part, zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+
+        def add(folder: str, name: str, way: PlanarPoses, tested: np.ndarray) -> None:
+            """One row; single experts and floors go the same way in several tracks."""
+            key = way.x_m.tobytes() + way.yaw_rad.tobytes() + tested.tobytes()
+            if key not in texts:
+                texts[key] = [
+                    (one.scene, tum_text(one.trajectory)) for one in _scenes(name, way, tested, board.recordings)
+                ]
+            for scene, text in texts[key]:
+                archive.writestr(
+                    zipfile.ZipInfo(f"{folder}{folder_name(name)}/{scene}.txt"), text, zipfile.ZIP_DEFLATED, 1
+                )
+
+        add("", GROUNDTRUTH, truth.poses, everywhere)
+        for standings in board.standings:
+            for row in {row.name: row for row in (*standings.one_fold_rows, *standings.rows)}.values():
+                add(f"{standings.track}/", row.name, poses(row.run.travel, truth.poses, truth.offsets), row.run.tested)
 
 
 def folder_name(row: str) -> str:

@@ -130,6 +130,33 @@ def scene_mean(values: FloatArray, offsets: NDArray[np.int64]) -> FloatArray:
         return sums / np.diff(offsets)
 
 
+def interquartile_mean(scores: FloatArray) -> float:
+    """Mean of the middle half of all scores, whatever their shape: a robust mean (Agarwal et al. 2021).
+
+    A quarter of the scores, rounded down to whole ones, is cut off at either end. NaN without a score.
+    """
+    ordered = np.sort(np.asarray(scores, dtype=np.float64), axis=None)
+    cut = len(ordered) // 4
+    return _mean(ordered[cut : len(ordered) - cut])
+
+
+def probability_of_improvement(errors: FloatArray, others: FloatArray) -> float:
+    """Chance that one run of a method errs less than one of another on the same task, mean over the tasks.
+
+    The Mann-Whitney statistic of every task over the number of pairs of runs, ties count half (Agarwal et al. 2021).
+
+    Args:
+        errors: ``(runs, tasks)`` lower is better.
+        others: ``(other runs, tasks)`` of the method compared with.
+
+    Returns:
+        Between 0 and 1, one half where neither is better; NaN without a task.
+    """
+    less = errors[:, None, :] < others[None, :, :]
+    same = errors[:, None, :] == others[None, :, :]
+    return _mean((less + 0.5 * same).mean(axis=(0, 1)))
+
+
 def _mean(values: FloatArray) -> float:
     return float(np.mean(values)) if len(values) else float("nan")
 

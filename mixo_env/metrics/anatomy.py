@@ -25,7 +25,8 @@ class ErrorAnatomy:
         cross_track_rmse_m: position error across it: yaw, mostly. The squares of both add up to that of the error.
         bias_deg_per_s: window [s] -> RMS over windows of that length of (yaw error grown in it / its length). White
             noise falls with the root of the window, a bias stays.
-        outlier_share: share of steps whose yaw-increment error is more than 3 robust sigmas from the median.
+        outlier_share: share of steps whose yaw-increment error is an outlier: more than 3 robust sigmas from the
+            median, or beyond a given limit.
         outlier_energy: their share of the summed squared yaw-increment error: what rejecting them could gain.
         all_lost_share: share of steps with every camera lost; NaN when no states were given.
         all_lost_energy: their share of the summed squared yaw-increment error: no gate over cameras can gain it.
@@ -81,6 +82,7 @@ def error_anatomy(
     time_s: FloatArray,
     offsets: IntArray | None = None,
     all_lost: BoolArray | None = None,
+    outlier_rad: float | None = None,
 ) -> ErrorAnatomy:
     """Take the errors of planar poses apart.
 
@@ -90,6 +92,8 @@ def error_anatomy(
         time_s: times, increasing within a scene.
         offsets: ``(scenes + 1,)`` first row of each scene and the end; ``None``: one scene.
         all_lost: ``(N,)`` no camera is TRACKING in the step that ends at this pose.
+        outlier_rad: a step whose error is larger is an outlier, the same for every method; ``None``: by the spread of
+            these errors.
     """
     offsets = scene_offsets(len(truth), offsets)
     along, across = split_error(truth, estimate)
@@ -101,9 +105,7 @@ def error_anatomy(
     grown = np.zeros(len(yaw_error))
     grown[step_end] = step_error
     grown = np.cumsum(grown)
-    spread = step_error - np.median(step_error) if len(step_error) else step_error
-    sigma = MAD_TO_SIGMA * np.median(np.abs(spread)) if len(step_error) else 0.0
-    outlier = np.abs(spread) > OUTLIER_SIGMAS * sigma
+    outlier = _outliers(step_error) if outlier_rad is None else np.abs(step_error) > outlier_rad
     lost = None if all_lost is None else np.asarray(all_lost, dtype=bool)[step_end]
     return ErrorAnatomy(
         along_track_rmse_m=_rms(along),
@@ -114,6 +116,14 @@ def error_anatomy(
         all_lost_share=float("nan") if lost is None else _share(lost),
         all_lost_energy=float("nan") if lost is None else _energy(step_error, lost),
     )
+
+
+def _outliers(errors: FloatArray) -> BoolArray:
+    """``(N,)`` more than 3 robust sigmas from the median."""
+    if not len(errors):
+        return np.zeros(0, dtype=bool)
+    spread = np.abs(errors - np.median(errors))
+    return spread > OUTLIER_SIGMAS * MAD_TO_SIGMA * np.median(spread)
 
 
 def _rms(values: FloatArray) -> float:
