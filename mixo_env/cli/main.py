@@ -35,12 +35,14 @@ def commands() -> dict[str, type]:
     from mixo_env.cli.inspect import Inspect
     from mixo_env.cli.record import Record
     from mixo_env.cli.score import Score
+    from mixo_env.cli.search import Search
     from mixo_env.cli.simulate import Simulate
     from mixo_env.cli.train_vocabulary import TrainVocabulary
 
     return {
         "benchmark": Benchmark,
         "score": Score,
+        "search": Search,
         "simulate": Simulate,
         "inspect": Inspect,
         "record": Record,
