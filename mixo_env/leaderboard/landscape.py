@@ -136,9 +136,11 @@ def _written(setting: Setting) -> str:
 def _draw_pair(axis: Any, x: FloatArray, y: FloatArray, errors: FloatArray, columns: tuple[int, int]) -> None:
     """Best error per pair of values, written into its square; the paper's choice is framed."""
     xs, ys = np.unique(x), np.unique(y)
-    best = np.array([[np.nanmin(errors[(x == a) & (y == b)]) for a in xs] for b in ys])
+    reached = np.where(np.isnan(errors), np.inf, errors)
+    best = np.array([[reached[(x == a) & (y == b)].min() for a in xs] for b in ys])
+    best[np.isinf(best)] = np.nan  # nobody got so far
     axis.imshow(best, origin="lower", cmap="cividis_r", aspect="auto")
-    middle = 0.5 * (best.min() + best.max())
+    middle = 0.5 * (np.nanmin(best) + np.nanmax(best))
     for row, column in np.ndindex(best.shape):
         dark = best[row, column] < middle
         axis.text(
@@ -160,14 +162,21 @@ def _draw_spread(axis: Any, values: FloatArray, errors: FloatArray, column: int,
     """Quartiles and best of all settings that share a value."""
     for k, (marker, colour) in enumerate((("o", "#0072B2"), ("^", "#D55E00"))):
         found = np.unique(values[:, k])
-        parts = [errors[(values[:, k] == v) & np.isfinite(errors)] for v in found]
-        at = np.arange(len(found)) + 0.12 * (2 * k - 1)
-        low, middle, high = np.array([np.quantile(part, (0.25, 0.5, 0.75)) for part in parts]).T
+        parts = {v: errors[(values[:, k] == v) & np.isfinite(errors)] for v in found}
+        at = np.flatnonzero([len(parts[v]) > 0 for v in found]) + 0.12 * (2 * k - 1)
+        low, middle, high = np.array([np.quantile(part, (0.25, 0.5, 0.75)) for part in parts.values() if len(part)]).T
         axis.errorbar(
             at, middle, [middle - low, high - middle], fmt=marker, color=colour, capsize=3, markersize=5,
             label=f"{SYMBOLS[column + k]}: " + ", ".join(f"{v:g}" for v in found),
         )  # fmt: skip
-        axis.plot(at, [part.min() for part in parts], linestyle="none", marker="_", markersize=12, color=colour)
+        axis.plot(
+            at,
+            [part.min() for part in parts.values() if len(part)],
+            linestyle="none",
+            marker="_",
+            markersize=12,
+            color=colour,
+        )
     axis.axhline(linear, color="black", linestyle="--", linewidth=1.0, label="LINEAR")
     axis.set_xticks([])
     axis.set_xlabel("values in the order of the legend; dash: the best")

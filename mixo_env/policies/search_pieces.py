@@ -49,6 +49,8 @@ class Pieces:
             raise ConfigurationError(
                 f"a search needs three folds or more, got {len(self.folds)}: record scenes of more logs"
             )
+        if workers < 1:
+            raise ConfigurationError(f"workers must be at least 1, got {workers}")
         self._recordings, self._track = recordings, track
         self._folder, self._workers, self._scheduler = writable_folder(folder), workers, scheduler
         self._seen: dict[tuple[int, ...], tuple[Lesson, list[Lesson]]] = {}
@@ -110,7 +112,7 @@ class Pieces:
         return [found[name] for name in names]  # type: ignore[misc]
 
     def expected_s(self, settings: Sequence[Setting], updates_of_all: float) -> float:
-        """Seconds that a search takes with these workers, told from a few updates of a few gates of every size.
+        """Seconds that a search takes on cores of its own, told from a few updates of a few gates of every size.
 
         Args:
             settings: of the grid; one in a hundred is tried.
@@ -124,9 +126,9 @@ class Pieces:
             alike = [setting for setting in settings if setting.sizes == sizes]
             sample = alike[:: max(1, len(alike) // 4)][:4]
             errors_after(sample, training, judged, schedule, 1)
-            begun = time.perf_counter()
+            begun = time.process_time()
             errors_after(sample, training, judged, schedule, SAMPLED_UPDATES)
-            total += (time.perf_counter() - begun) / SAMPLED_UPDATES / len(sample) * len(alike)
+            total += (time.process_time() - begun) / SAMPLED_UPDATES / len(sample) * len(alike)
         return total * updates_of_all * len(self.folds) / self._workers
 
     def _look(self, held_out: tuple[int, ...]) -> list[float]:
