@@ -36,6 +36,7 @@ def commands() -> dict[str, type]:
     from mixo_env.cli.record import Record
     from mixo_env.cli.report import Report
     from mixo_env.cli.score import Score
+    from mixo_env.cli.search import Search
     from mixo_env.cli.simulate import Simulate
     from mixo_env.cli.train import Train
     from mixo_env.cli.train_vocabulary import TrainVocabulary
@@ -45,6 +46,7 @@ def commands() -> dict[str, type]:
         "report": Report,
         "score": Score,
         "train": Train,
+        "search": Search,
         "simulate": Simulate,
         "inspect": Inspect,
         "record": Record,
