@@ -181,7 +181,7 @@ def judge(
             best = np.argsort(table[row - 1][going], kind="stable")
             going = np.sort(going[best[: max(least, math.ceil(kept * len(settings)))]])
         steps = math.ceil(schedule * updates)
-        groups = list(_groups([settings[i] for i in going]))
+        groups = list(_groups([settings[int(i)] for i in going]))
         pieces = [
             Piece(tuple(settings[int(going[k])] for k in group), (fold,), steps, seed=0)
             for group in groups
