@@ -95,30 +95,12 @@ def _weights(row: Row, chosen: Recordings, track: str) -> tuple[Sequence[str], d
         if not here:
             continue
         part = recordings.select(scenes=[recordings.scenes[k].name for k in here])
-        seen = _Watched(policy)
         replay = Replay(part, track=track, experts=policy.experts)
-        for _ in play(seen, replay):  # type: ignore[arg-type]
-            pass
-        experts, weights = policy.experts, np.stack(seen.weights, axis=1)
+        given = [np.array(weights, dtype=np.float64) for _, _, weights in play(policy, replay)]
+        experts, weights = policy.experts, np.stack(given, axis=1)
         for k, of_scene, scene in zip(here, weights, part.scenes, strict=True):
             found[k] = of_scene[: scene.rows - 1]
     return experts, found
-
-
-class _Watched:
-    """A policy whose weights are written down."""
-
-    def __init__(self, policy: Any) -> None:
-        self._policy, self.weights = policy, []
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._policy, name)
-
-    def act(self, observation: Any) -> FloatArray:
-        """What the policy answers."""
-        answer = self._policy.act(observation)
-        self.weights.append(np.array(answer, dtype=np.float64))
-        return answer
 
 
 def _winding_first(board: Leaderboard) -> list[int]:

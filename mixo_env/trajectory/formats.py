@@ -120,8 +120,12 @@ def read_trajectory(path: Path, times: Path | None = None, quaternions: Quaterni
     return TrajectoryFiles(times, quaternions).read(path)
 
 
-def tum_text(trajectory: Trajectory) -> str:
-    """A TUM file's content; numbers are written so that reading gives the same bits. It needs times.
+def tum_text(trajectory: Trajectory, decimals: int | None = None) -> str:
+    """A TUM file's content. It needs times.
+
+    Args:
+        trajectory: its poses.
+        decimals: to which numbers are rounded; ``None``: reading gives the same bits.
 
     Raises:
         TrajectoryError: when the trajectory has no times.
@@ -129,7 +133,8 @@ def tum_text(trajectory: Trajectory) -> str:
     if trajectory.timestamps_s is None:
         raise TrajectoryError("a TUM file needs a time for each pose, this trajectory has none; write KITTI")
     quaternions_xyzw = np.roll(trajectory.quaternions_wxyz, -1, axis=1)
-    return _text(np.column_stack([trajectory.timestamps_s, trajectory.positions_m, quaternions_xyzw]))
+    rows = np.column_stack([trajectory.timestamps_s, trajectory.positions_m, quaternions_xyzw])
+    return _text(rows if decimals is None else np.round(rows, decimals))
 
 
 def kitti_text(trajectory: Trajectory) -> str:
