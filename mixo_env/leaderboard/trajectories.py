@@ -35,7 +35,7 @@ Format = Literal["tum", "kitti"]
 GROUNDTRUTH = "groundtruth"
 
 DECIMALS = 7
-"""Of metres and quaternions in the zip of all rows, a thousandth of what any row errs by; all digits take twice the room."""
+"""Of metres and quaternions in the zip of all rows, far below what any row errs by; all digits take twice the room."""
 
 
 @dataclass(frozen=True)
