@@ -136,11 +136,14 @@ def train(
     increment, truth = torch.from_numpy(given.increment), torch.from_numpy(given.truth)
     active = torch.from_numpy(given.active)
     pieces = [tuple(torch.from_numpy(part) for part in piece) for piece in given.pieces]
+    beside = torch.from_numpy(given.beside)
 
     def errors(rows: torch.Tensor, correct: bool = True) -> tuple[torch.Tensor, torch.Tensor]:
         logits = consensus[rows] + (_forward(network, x[rows], voting[rows]) if correct else 0.0)
         weights = torch.softmax(torch.where(voting[rows], logits, -torch.inf), dim=-1)
-        error = ((weights * increment[rows]).sum(dim=-1) - truth[rows]) * active[rows]
+        fused = (weights * increment[rows]).sum(dim=-1)
+        fused = torch.where(torch.isnan(beside[rows]), fused, 0.5 * (fused + beside[rows]))
+        error = (fused - truth[rows]) * active[rows]
         return heading_errors(error, active[rows], [pieces[row] for row in rows.tolist()])
 
     scenes = torch.arange(len(inputs))

@@ -34,6 +34,7 @@ class Lessons:
         increment: ``(.., experts)`` in UNIT_RAD.
         truth: in UNIT_RAD.
         active: the scene lasts.
+        beside: in UNIT_RAD, what a companion fuses, whose mean with the gate is judged; NaN: the gate is alone.
         pieces: of every scene the first pose, last pose and length [m] of its pieces of path.
     """
 
@@ -44,6 +45,7 @@ class Lessons:
     increment: NDArray[np.float32]
     truth: NDArray[np.float32]
     active: NDArray[np.bool_]
+    beside: NDArray[np.float32]
     pieces: tuple[Piece, ...]
 
 
@@ -69,6 +71,7 @@ def lessons(training: Recordings, track: str, calibration: Calibration, spoilt: 
         increment=_scenes_first([one.increment for one in versions]).astype(np.float32),
         truth=_scenes_first([truth] * len(versions)).astype(np.float32),
         active=_scenes_first([active] * len(versions)),
+        beside=np.full((active.shape[1] * len(versions), len(active)), np.nan, np.float32),
         pieces=pieces(training) * len(versions),
     )
 

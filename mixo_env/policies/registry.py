@@ -24,6 +24,7 @@ from mixo_env.policies.simplex import LinearSimplex
 from mixo_env.policies.single import Single
 from mixo_env.policies.smoother import Smoother
 from mixo_env.policies.softmin import Softmin
+from mixo_env.policies.tandem import Tandem
 from mixo_env.policies.token_gate import Token
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.variants import variants
@@ -33,7 +34,7 @@ POLICIES: dict[str, type[Policy]] = {
     for policy in (
         *(HighestMatch, Mean, Median, Linear, LinearSimplex),
         *(InverseVariance, CovarianceIntersection, Huber, StudentT, Softmin, FixedShare, BiasFilter),
-        *(LinearGate, Mixo, Token, PPO),
+        *(LinearGate, Mixo, Token, Tandem, PPO),
         *(Smoother, MulticameraGT, OracleAll, OracleHull),
     )
 }

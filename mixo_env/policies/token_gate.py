@@ -58,7 +58,21 @@ class Token(Policy):
         self._calibration = Calibration(*np.array([self._known.get(name, _STRANGER) for name in self.experts]).T.copy())
 
     def fit(self, training: Recordings, track: str, *, seed: int = 0) -> None:
-        """Train on scenes as they are, mirrored and spoilt; same seed, same machine: same bits."""
+        """Train on scenes as they are and spoilt; same seed, same machine: same bits."""
+        self.fit_beside(training, track, None, seed=seed)
+
+    def fit_beside(
+        self, training: Recordings, track: str, beside: NDArray[np.float32] | None, *, seed: int = 0
+    ) -> None:
+        """Train; with a companion, for the mean of both.
+
+        Args:
+            training: scenes.
+            track: whose experts vote.
+            beside: what the companion fuses in these scenes, ``(scenes, steps)`` in UNIT_RAD; it has no part in spoilt
+                ones.
+            seed: of everything random.
+        """
         import torch
 
         experts = training.voters(track)
@@ -66,6 +80,8 @@ class Token(Policy):
         super().fit(training, track)
         drawn, trained = np.random.SeedSequence(seed).generate_state(2)
         given = lessons(training, track, self._calibration, self.spoilt, int(drawn))
+        if beside is not None:
+            given.beside[: len(beside)] = beside
         x = _inputs(given.signals, given.whole)
         told = x[given.voting & given.active[..., None]]
         mean, std = told.mean(axis=0), np.maximum(told.std(axis=0), SMALLEST_STD)
