@@ -48,6 +48,9 @@ def test_an_interruption_says_what_is_kept(
     monkeypatch.setattr(command, "run", stop)
     arguments = {
         "Benchmark": ["benchmark"],
+        "Report": ["report", "results"],
+        "Train": ["train", "LINEAR", "--out", "weights"],
+        "Search": ["search"],
         "Score": ["score", "LINEAR"],
         "Simulate": ["simulate", "city"],
         "Inspect": ["inspect", "root"],
@@ -60,5 +63,5 @@ def test_an_interruption_says_what_is_kept(
     assert cli.main(arguments[command.__name__]) == 130
     said = capsys.readouterr().err
     assert said == f"mixo: interrupted; {command.interrupted}\n"  # type: ignore[attr-defined]
-    keeps = command.__name__ in ("Record", "Simulate")
+    keeps = command.__name__ in ("Record", "Simulate", "Train", "Search")
     assert ("continues" in said) == keeps

@@ -256,13 +256,28 @@ def test_real_road_at_two_images_a_second() -> None:
     assert np.sqrt(np.nanmean(np.square(errors))) < 0.03
 
 
-def test_images_that_are_far_apart_get_more_corners() -> None:
+def test_images_that_are_far_apart_get_more_corners_and_those_around_them_do_not() -> None:
     rng = np.random.default_rng(5)
     image = np.asarray(cv2.GaussianBlur(rng.integers(0, 255, (300, 400), np.uint8), (0, 0), 1.0), np.uint8)
     solver = MonocularOdometry(calibration(0.0), MonocularConfig(features=300, features_apart=900))._solver
-    counts = [len(solver.frame(image, gap_s).position_px) for gap_s in (0.0, 0.25, 0.5, math.inf)]
-    assert counts[0] == counts[1] == counts[3] <= 330
-    assert counts[2] >= 2 * counts[0]
+    first, second = solver.frame(image), solver.frame(image)
+    assert len(first.position_px) <= 330
+    near, far, again = (solver.compare(first, second, gap_s, 0.0).matches for gap_s in (0.25, 0.5, 0.25))
+    assert near == again <= 330
+    assert far >= 2 * near
+
+
+def test_what_two_images_say_does_not_depend_on_how_long_ago_the_one_before_them_was() -> None:
+    camera = calibration(0.0)
+    steps = []
+    for gap_us in (83_333, 500_000):
+        odometry = MonocularOdometry(camera)
+        odometry.process(picture(camera, 0.0, 0.0, 0.0), 1_000_000, 0.0)
+        odometry.process(picture(camera, 0.4, 0.0, 0.004, 1), 1_000_000 + gap_us, 0.4)
+        step = odometry.process(picture(camera, 0.8, 0.0, 0.008, 2), 1_083_333 + gap_us, 0.4)
+        steps.append(step.two_frame_yaw_increment_rad)
+    assert np.isfinite(steps).all()
+    assert steps[0] == steps[1]
 
 
 def test_the_residual_is_reported_in_pixels_of_the_full_image(monkeypatch: pytest.MonkeyPatch) -> None:

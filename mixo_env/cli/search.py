@@ -25,7 +25,7 @@ class Search:
       mixo search --recordings recordings --track CONSUMER     your drives, five experts
     """
 
-    interrupted: ClassVar[str] = "finished pieces are kept: the same command goes on"
+    interrupted: ClassVar[str] = "finished pieces are kept, and the same command continues"
 
     recordings: Path | None = None
     """Folder written by `mixo record`, or the name of a bundled recording. None: the bundled mixocity."""

@@ -21,7 +21,7 @@ class Train:
       mixo score weights/TOKEN/VISION/fold-0-seed-0 --recordings other-city
     """
 
-    interrupted: ClassVar[str] = "finished pieces are kept: say the same again to go on"
+    interrupted: ClassVar[str] = "finished pieces are kept, and the same command continues"
 
     names: Annotated[tuple[str, ...], tyro.conf.Positional] = ()
     """Rows to fit; case, hyphens and underscores do not matter."""

@@ -13,8 +13,8 @@ class MonocularConfig:
 
     Attributes:
         features: corners kept per image, over all pyramid levels.
-        features_apart: at least so many of an image that comes later than ``apart_s`` after the last one: far-apart
-            images have few corners in common (and there is time).
+        features_apart: at least so many in each of two images that are further apart than ``apart_s``: they have few
+            corners in common (and there is time).
         apart_s: a time between two images that is far apart.
         levels: pyramid levels.
         scale_factor: size ratio of consecutive pyramid levels.

@@ -34,7 +34,7 @@ class FrontEnd(Protocol):
     """Corners and their matches; no memory."""
 
     def frame(self, image: NDArray[np.uint8], apart: bool = False) -> Frame:
-        """Corners of an image ``(height, width)`` at working resolution; ``apart``: the last one is long ago."""
+        """Corners of an image ``(height, width)`` at working resolution; ``apart``: of a pair that is far apart."""
         ...
 
     def match(self, first: Frame, second: Frame, radius_px: float) -> tuple[NDArray[np.integer], NDArray[np.integer]]:
@@ -59,7 +59,7 @@ class OrbFrontEnd:
         self._vocabulary = load_vocabulary(GENERAL_VOCABULARY if name == "general" else Path(name))
 
     def frame(self, image: NDArray[np.uint8], apart: bool = False) -> Frame:
-        """Features, and the ``match_words`` nearest words to each; more of them where the last image is long ago."""
+        """Features, and the ``match_words`` nearest words to each; more of them for images that are far apart."""
         features = self._detectors[apart].detect(image)
         words = self._vocabulary.nearest(features.descriptor, self.config.match_words)
         return Frame(image, features.position_px, (features, words))

@@ -111,7 +111,7 @@ class MonocularOdometry:
         if last is not None and abs(distance_m) > _FROZEN_DISTANCE_M and np.array_equal(working, last):
             self._previous = None  # the time of a frozen image is unknown: nothing may be compared with it
             return self._close(None, gap_s, distance_m)
-        frame = self._previous = self._solver.frame(working, gap_s)
+        frame = self._previous = self._solver.frame(working)
         if previous is None or gap_s > self.config.max_gap_s:
             return self._close(None, gap_s, distance_m)
         self.pair = self._solver.compare(previous, frame, gap_s, distance_m)
@@ -186,4 +186,5 @@ class MonocularOdometry:
             return None
         self._turn.learn(solved, now_us, gap_s)
         self._solved = pair, solved
-        return solved, None if last is None else turn_change(*last, pair, motion, prior, camera)
+        chained = last is not None and last[0].apart == pair.apart  # they number the corners of the middle image alike
+        return solved, turn_change(*last, pair, motion, prior, camera) if last is not None and chained else None

@@ -28,6 +28,7 @@ class Pair:
         corner: ``(k, 2)`` int, which corner of the first and of the second image each of them is.
         prior: what was known before.
         motion: ``None`` when none was found.
+        apart: the images are far apart, and corners are counted among more of them.
     """
 
     matches: int
@@ -37,6 +38,7 @@ class Pair:
     corner: NDArray[np.integer]
     prior: MotionPrior
     motion: Motion | None
+    apart: bool = False
 
 
 class PairSolver:
@@ -46,9 +48,9 @@ class PairSolver:
         self.camera, self.config = camera, config
         self._front_end = front_end or OrbFrontEnd(config)
 
-    def frame(self, image: NDArray[np.uint8], gap_s: float = 0.0) -> Frame:
-        """Corners of an image ``(height, width)`` at working resolution, taken ``gap_s`` after the last one."""
-        return self._front_end.frame(image, self.config.apart_s < gap_s < math.inf)
+    def frame(self, image: NDArray[np.uint8]) -> Frame:
+        """Corners of an image ``(height, width)`` at working resolution."""
+        return self._front_end.frame(image)
 
     def compare(self, first: Frame, second: Frame, gap_s: float, distance_m: float) -> Pair:
         """Motion of the car from the first to the second image.
@@ -71,16 +73,19 @@ class PairSolver:
             slip_std=config.slip_std,
             heave_std=config.slip_std,
         )
+        apart = gap_s > config.apart_s
+        if apart:  # in both, so that a pair depends on its two images alone, not on those before
+            first, second = (self._front_end.frame(frame.image, True) for frame in (first, second))
         radius = (prior.max_yaw_rad + abs(distance_m) / _NEAREST_M) / camera.pixel_size + 8.0
         i, j = self._front_end.match(first, second, radius)
         p1, p2 = first.position_px[i], second.position_px[j]
         flow = float(np.median(np.hypot(*(p2 - p1).T))) * 2**camera.halvings if len(i) else math.nan
         corner = np.stack([i, j], axis=1)
         if len(i) < config.min_matches:
-            return Pair(len(i), flow, camera.plane(p1), camera.plane(p2), corner, prior, None)
+            return Pair(len(i), flow, camera.plane(p1), camera.plane(p2), corner, prior, None, apart)
         picked = np.arange(0, len(i), -(-len(i) // config.solver_matches))
         p1, p2, corner = p1[picked], p2[picked], corner[picked]
         p2, aligned = align_matches(first.image, second.image, p1, p2)
         f1, f2 = camera.plane(p1[aligned]), camera.plane(p2[aligned])
         motion = estimate_motion(f1, f2, camera.rotation, camera.position_m, prior)
-        return Pair(len(i), flow, f1, f2, corner[aligned], prior, motion)
+        return Pair(len(i), flow, f1, f2, corner[aligned], prior, motion, apart)
