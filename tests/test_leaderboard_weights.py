@@ -61,7 +61,7 @@ def test_training_goes_on_where_it_was_interrupted(
     monkeypatch.setattr(Linear, "fit", counted)
     assert main(command) == 130
     assert capsys.readouterr().err.strip() == (
-        "mixo: interrupted; finished pieces are kept: say the same again to go on"
+        "mixo: interrupted; finished pieces are kept, and the same command continues"
     )
     assert main(command) == 0
     assert len(fits) == 5
