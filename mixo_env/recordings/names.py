@@ -23,6 +23,7 @@ ROWS = (
     "SOFTMIN",
     "FIXED SHARE",
     "BIAS FILTER",
+    "TANDEM",
     "TOKEN",
     "LINEAR GATE",
     "MIXO",
