@@ -72,6 +72,18 @@ def write_json(path: Path, value: Any) -> None:
     write_bytes(path, msgspec.json.format(msgspec.json.encode(value), indent=2) + b"\n")
 
 
+def remove(path: Path) -> None:
+    """Remove a file that is to be written anew; none is fine.
+
+    Raises:
+        OutputError: when it cannot be removed.
+    """
+    try:
+        path.unlink(missing_ok=True)
+    except OSError as error:
+        raise _cannot_write(path, error) from error
+
+
 def writable_folder(path: Path) -> Path:
     """Make a folder and see that a file can be written into it: before the work whose results shall go there.
 

@@ -13,8 +13,8 @@ from mixo_env.cli.benchmark import Benchmark
 from mixo_env.errors import ConfigurationError, RecordingError
 from mixo_env.leaderboard import report
 from mixo_env.leaderboard.board import build
-from mixo_env.leaderboard.checks import check_complete
 from mixo_env.recordings.collection import Recordings
+from mixo_env.recordings.complete import check_complete
 from mixo_env.recordings.store import save_recordings
 from tests.synthetic import synthetic_recordings
 

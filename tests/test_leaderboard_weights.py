@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
+import errno
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from mixo_env.cli.main import main
-from mixo_env.errors import ConfigurationError, PolicyError
+from mixo_env.errors import ConfigurationError, OutputError, PolicyError, RecordingError
+from mixo_env.experts.expert import State
 from mixo_env.leaderboard.crossvalidation import CrossValidation, Trial
+from mixo_env.leaderboard.evaluation import rollout
+from mixo_env.policies.fitting import prepare
 from mixo_env.policies.linear import Linear
+from mixo_env.policies.registry import create, load
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.store import save_recordings
 from tests.synthetic import synthetic_recordings
@@ -91,3 +96,64 @@ def test_weights_that_are_no_folder_are_refused(tmp_path: Path) -> None:
 def test_nothing_to_fit_is_one_line(arguments: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["train", *arguments, "--out", str(tmp_path / "w")]) == 2
     assert len(capsys.readouterr().err.strip().splitlines()) == 1
+
+
+def test_a_full_disk_is_one_line(
+    recordings: Recordings, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    save_recordings(recordings, tmp_path / "small")
+
+    def full(self: Path, content: bytes) -> int:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_bytes", full)
+    command = ["train", "linear", "--recordings", str(tmp_path / "small"), "--out", str(tmp_path / "weights")]
+    assert main(command) == 1
+    (line,) = (text for text in capsys.readouterr().err.splitlines() if text.startswith("mixo:"))
+    assert "policy.safetensors: No space left on device" in line
+    assert [path for path in (tmp_path / "weights").rglob("*") if path.is_file()] == []
+
+
+def test_an_old_stamp_that_cannot_be_removed_is_one_line(
+    recordings: Recordings, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def read_only(self: Path, missing_ok: bool = False) -> None:
+        raise OSError(errno.EROFS, "Read-only file system")
+
+    monkeypatch.setattr(Path, "unlink", read_only)
+    with pytest.raises(OutputError, match=r"stamp\.json: Read-only file system"):
+        CrossValidation(recordings, Trial(weights=tmp_path)).fitted("LINEAR", "VISION", 3, 0, keep=True)
+
+
+@pytest.mark.parametrize("column", ["truth.yaw_increment_rad", "truth.x_m", "speed_mps", "dt_s"])
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+@pytest.mark.parametrize("name", ["LINEAR", "HUBER", "MIXO"])
+def test_training_data_that_are_not_finite_are_refused(
+    recordings: Recordings, name: str, value: float, column: str
+) -> None:
+    values = recordings[column].copy()
+    values[7] = value
+    with pytest.raises(RecordingError, match=f"^{column}: expected a number .* in scene-2001, row 7"):
+        prepare(create(name, recordings), recordings.replace(columns={column: values}), "VISION")
+
+
+def test_a_fold_without_scenes_cannot_be_held_out(recordings: Recordings) -> None:
+    with pytest.raises(ConfigurationError, match="fold"):
+        CrossValidation(recordings).fitted("LINEAR", "VISION", 7, 0)
+
+
+@pytest.mark.parametrize("name", ["LINEAR", "HUBER", "STUDENT-T", "BIAS FILTER", "MIXO", "TOKEN", "TANDEM"])
+def test_an_expert_that_never_tells_anything_is_done_without(recordings: Recordings, tmp_path: Path, name: str) -> None:
+    silent = recordings.voters("VISION")[0]
+    nothing = {
+        f"{silent}.yaw_increment_rad": np.full_like(recordings[f"{silent}.yaw_increment_rad"], np.nan),
+        f"{silent}.state": np.full_like(recordings[f"{silent}.state"], State.NO_IMAGE),
+    }
+    without = recordings.replace(columns=nothing)
+    training, tested = without.select(folds=[0, 1, 2]), without.select(folds=[3])
+    policy = create(name, training)
+    prepare(policy, training, "VISION")
+    played = rollout(policy, tested, "VISION").yaw_increment_rad
+    assert np.isfinite(played[tested["step"] > 0]).all()
+    policy.save(tmp_path)
+    np.testing.assert_array_equal(rollout(load(tmp_path), tested, "VISION").yaw_increment_rad, played)

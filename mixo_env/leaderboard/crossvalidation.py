@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixo_env.errors import ConfigurationError, PolicyError, unknown
-from mixo_env.leaderboard.checks import check_complete
 from mixo_env.leaderboard.evaluation import FLOORS, Travel, rollout, with_wheels
 from mixo_env.leaderboard.weights import fit_or_take
 from mixo_env.policies.fitting import drives, prepare
@@ -19,6 +18,7 @@ from mixo_env.policies.outside import make_policy
 from mixo_env.policies.policy import Policy
 from mixo_env.policies.registry import create, kind
 from mixo_env.recordings.collection import Recordings
+from mixo_env.recordings.complete import check_complete
 from mixo_env.recordings.drives import drive_hash
 from mixo_env.recordings.folds import OUT_OF_DISTRIBUTION
 from mixo_env.recordings.keyframes import at_keyframes
@@ -161,8 +161,11 @@ class CrossValidation:
         and the pose lag would carry a little of its truth into the targets.
 
         Raises:
+            ConfigurationError: for a fold that holds no scene.
             PolicyError: if there is no scene that is not tested.
         """
+        if fold != UNFOLDED and fold not in self.folds:
+            raise ConfigurationError(unknown("fold", fold, map(str, self.folds)))
         if fold not in self._training:
             if self.foreign:
                 training = self._foreign_scenes()

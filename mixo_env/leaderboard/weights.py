@@ -15,7 +15,7 @@ import numpy as np
 
 import mixo_env
 from mixo_env.errors import PolicyError
-from mixo_env.files import write_json
+from mixo_env.files import remove, write_json
 from mixo_env.policies.fitting import drives, prepare
 from mixo_env.policies.policy import Policy
 from mixo_env.recordings.collection import Recordings
@@ -69,7 +69,7 @@ def fit_or_take(policy: Policy, training: Recordings, track: str, seed: int, pie
         return taken
     prepare(policy, training, track, seed=seed)
     if keep:
-        (piece / STAMP).unlink(missing_ok=True)  # or a kill between the two writes leaves a new file, an old stamp
+        remove(piece / STAMP)  # or a kill between the two writes leaves a new file, an old stamp
         policy.save(piece)
         write_json(piece / STAMP, {"stamp": expected})
     return policy

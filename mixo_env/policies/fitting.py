@@ -11,6 +11,7 @@ from mixo_env.policies.agent import Frozen
 from mixo_env.policies.policy import Policy
 from mixo_env.policies.single import Single
 from mixo_env.recordings.collection import Recordings
+from mixo_env.recordings.complete import check_complete
 from mixo_env.recordings.drives import drive_hash
 from mixo_env.recordings.truths import for_learning
 
@@ -23,9 +24,13 @@ def prepare(policy: Policy, training: Recordings, track: str, *, seed: int = 0) 
         training: scenes of the training folds.
         track: whose experts vote.
         seed: of whatever is random in the fit.
+
+    Raises:
+        RecordingError: where a true pose, a speed or a distance of the training scenes is no finite number.
     """
     policy.start(training.voters(track))
     if policy.learns:
+        check_complete(training)
         policy.fit(for_learning(training), track, seed=seed)
         policy.fitted_on = drives(training)
 
