@@ -124,4 +124,6 @@ def draw_cost(points: Sequence[Point], path: Path) -> None:
 def _name(axis: Any, points: Sequence[Point], field: str) -> None:
     for one in points:
         text = one.name.replace("CAM_", "").lower().replace("_", " ")
-        axis.annotate(text, (one.cost_ms, getattr(one, field)), (5, 4), textcoords="offset points", fontsize=7)
+        last = one.cost_ms == max(other.cost_ms for other in points)
+        place: dict[str, Any] = {"xytext": (-4, 6), "ha": "right"} if last else {"xytext": (5, 4)}
+        axis.annotate(text, (one.cost_ms, getattr(one, field)), textcoords="offset points", fontsize=7, **place)

@@ -24,8 +24,8 @@ STATES = (
 )
 """State, label, colour as in the paper, width: colour alone does not tell them apart."""
 
-CAPTURED_STDS = 5.0
-"""A tracking camera that errs by more of its usual errors (1.4826 x their median) believed something that moves."""
+FAR_STDS = 5.0
+"""A tracking camera that errs by more of its usual errors (1.4826 x their median) is far off."""
 
 
 def new_figure(width: float, height: float) -> Any:
@@ -56,19 +56,19 @@ def side_cameras(subject: Subject) -> list[str]:
 
 
 def figure_3(subject: Subject, path: Path) -> str:
-    """The side camera that was captured worst: what it claims, and how sure RANSAC was.
+    """The side camera that errs most while it tracks: what it claims, and how sure RANSAC was.
 
     Returns:
         What the figure shows; the paper's is an image, and images are not recorded.
 
     Raises:
-        NotHereError: when no camera errs while it tracks.
+        NotHereError: when no side camera is far off while it tracks.
     """
     recordings = subject.judged
-    worst = max((_captured(subject, camera) for camera in side_cameras(subject)), key=lambda one: one[2].max())
+    worst = max((_far_off(subject, camera) for camera in side_cameras(subject)), key=lambda one: one[2].max())
     camera, error, far = worst
-    if not np.isfinite(far).any() or far.max() <= CAPTURED_STDS:
-        raise NotHereError("no side camera was captured while it tracked")
+    if not np.isfinite(far).any() or far.max() <= FAR_STDS:
+        raise NotHereError("no side camera is far off while it tracks")
     scene = int(np.searchsorted(recordings.offsets, far.argmax(), side="right")) - 1
     steps = slice(recordings.offsets[scene] + 1, recordings.offsets[scene + 1])
     time_s = recordings["time_s"][steps] - recordings["time_s"][recordings.offsets[scene]]
@@ -79,8 +79,8 @@ def figure_3(subject: Subject, path: Path) -> str:
     above.plot(time_s, np.degrees(truth[steps]) / dt_s, color="black", linewidth=3.0, alpha=0.35, label="truth")
     claim = np.degrees(recordings[f"{camera}.yaw_increment_rad"][steps]) / dt_s
     above.plot(time_s, claim, color="#D55E00", linewidth=1.1, label=camera)
-    bad = far[steps] > CAPTURED_STDS
-    above.plot(time_s[bad], claim[bad], "x", color="#D55E00", markersize=6, label="captured")
+    bad = far[steps] > FAR_STDS
+    above.plot(time_s[bad], claim[bad], "x", color="#D55E00", markersize=6, label="far off")
     above.set_ylabel("yaw rate [deg/s]", fontsize=8)
     for column, dashes in (("matches", "-"), ("inliers", (0, (5, 1.5)))):
         below.plot(time_s, recordings[f"{camera}.{column}"][steps], color="#222222", linestyle=dashes, label=column)
@@ -89,16 +89,16 @@ def figure_3(subject: Subject, path: Path) -> str:
     _tidy((above, below))
     figure.suptitle(f"{camera}, {subject.data}", fontsize=9)
     _save(figure, path)
-    share = 100.0 * float(np.mean(far[np.isfinite(error)] > CAPTURED_STDS))
+    share = 100.0 * float(np.mean(far[np.isfinite(error)] > FAR_STDS))
     return (
         f"Fig. 3. The paper shows an image of a side view full of moving cars; images are not recorded. Shown is the "
         f"step at which a tracking side camera errs most, {camera} in {recordings.scenes[scene].name}: crosses are "
-        f"more than {CAPTURED_STDS:g} of its usual errors (1.4826 x median) from the truth, {share:.1f} % of its "
+        f"more than {FAR_STDS:g} of its usual errors (1.4826 x median) from the truth, {share:.1f} % of its "
         "tracking steps."
     )
 
 
-def _captured(subject: Subject, camera: str) -> tuple[str, NDArray[np.float64], NDArray[np.float64]]:
+def _far_off(subject: Subject, camera: str) -> tuple[str, NDArray[np.float64], NDArray[np.float64]]:
     """The camera, its errors while tracking [rad], NaN elsewhere, and the same in its usual errors, 0 elsewhere."""
     recordings = subject.judged
     tracking = recordings[f"{camera}.state"] == State.TRACKING
@@ -163,14 +163,16 @@ def figure_5(subject: Subject, path: Path) -> str:
     theirs = [names.index(name) for name in printed.FIGURE_5_ATE_M if name in names]
     scenes = theirs or _worst_of_different_logs(subject, rows[0])
     styles = line_styles(rows)
-    figure = new_figure(3.6 * len(scenes), 4.6)
-    panels = figure.subplots(1, len(scenes), squeeze=False)[0]
-    for panel, scene in zip(panels, scenes, strict=True):
+    figure = new_figure(3.6 * len(scenes), 6.8)
+    panels, errors = figure.subplots(2, len(scenes), squeeze=False, height_ratios=(3, 2))
+    for panel, below, scene in zip(panels, errors, scenes, strict=True):
         steps = slice(*truth.offsets[scene : scene + 2])
         panel.plot(*from_start(truth.poses, truth.poses, steps), color="black", linewidth=4, alpha=0.3, label="truth")
         for row in rows:
             way = poses(row.run.travel, truth.poses, truth.offsets)
             panel.plot(*from_start(way, truth.poses, steps), **styles[row.name], label=row.name)
+            error = np.hypot(way.x_m - truth.poses.x_m, way.y_m - truth.poses.y_m)[steps]
+            below.plot(truth.travelled_m[steps], error, **styles[row.name])
         ate = " / ".join(f"{subject.absolute(row).translation_m[scene]:.3f}" for row in rows)
         title = f"{names[scene]}\nATE {ate} m"
         if theirs:
@@ -178,9 +180,12 @@ def figure_5(subject: Subject, path: Path) -> str:
         panel.set_title(title, fontsize=8)
         panel.set_aspect("equal", adjustable="datalim")
         panel.set_xlabel("left - right [m]", fontsize=8)
-        panel.grid(alpha=0.3)
-        panel.tick_params(labelsize=8)
+        below.set_xlabel("distance travelled [m]", fontsize=8)
+        for one in (panel, below):
+            one.grid(alpha=0.3)
+            one.tick_params(labelsize=8)
     panels[0].set_ylabel("forward [m]", fontsize=8)
+    errors[0].set_ylabel("position error [m]", fontsize=8)
     figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=3, fontsize=8)
     figure.suptitle(subject.data, fontsize=9)
     _save(figure, path)
@@ -208,18 +213,21 @@ def figure_6(subject: Subject, path: Path) -> str:
         What the figure shows.
     """
     rows = list(subject.rows.values())
-    values = [np.maximum(subject.absolute(row).translation_m[row.run.tested], 1e-4) for row in rows]
+    values = [subject.absolute(row).translation_m[row.run.tested] for row in rows]
     figure = new_figure(9.0, 0.26 * len(rows) + 1.4)
     axis = figure.subplots()
     for line, ate_m in enumerate(values, start=1):
         _box(axis, line, ate_m)
     axis.axvline(HIGH_ATE_M, color="#D55E00", linestyle="--", linewidth=1.0)
-    axis.set_xscale("log")
+    axis.set_xscale("function", functions=(lambda e: np.sqrt(np.abs(e)), np.square))
+    axis.set_xlim(left=0.0)
     high = [f"{int((one > HIGH_ATE_M).sum())} of {len(one)}" for one in values]
     labels = [f"{marked(row)}   ({count})" for row, count in zip(rows, high, strict=True)]
     axis.set_yticks(range(1, len(rows) + 1), labels, fontsize=7)
     axis.invert_yaxis()
-    axis.set_xlabel(f"ATE of a scene [m]; in brackets: scenes above {HIGH_ATE_M:g} m (dashed)", fontsize=8)
+    axis.set_xlabel(
+        f"ATE of a scene [m]; in brackets: scenes above {HIGH_ATE_M:g} m (dashed); square-root scale", fontsize=8
+    )
     axis.grid(alpha=0.3, axis="x")
     figure.suptitle(subject.data, fontsize=9)
     _save(figure, path)
@@ -262,11 +270,12 @@ def figure_7(subject: Subject, path: Path) -> str:
             x = [at.length_m for at in row.lengths]
             panel.plot(x, [getattr(at, field).mean for at in row.lengths], **styles[row.name], label=marked(row))
         panel.plot([length], [end], "k*", markersize=9, label="printed end of the curve, other data")
-        panel.set_yscale("log")
         panel.set_xlabel("length [m]", fontsize=8)
         panel.set_ylabel(label, fontsize=8)
         panel.grid(alpha=0.3, which="both")
         panel.tick_params(labelsize=8)
+    panels[0].set_ylim(bottom=0.0)
+    panels[1].set_yscale("log")
     handles, labels = panels[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside lower center", ncols=4, fontsize=8, handlelength=3.5)
     figure.suptitle(subject.data, fontsize=9)

@@ -91,22 +91,27 @@ def draw_by_manoeuvre(found: Sequence[Preference], path: Path) -> None:
 
 
 def draw_over_time(subject: Subject, weights: Mapping[str, FloatArray], path: Path) -> None:
-    """Weights of every gate along the scene that turns most, over the true yaw rate."""
+    """Weights of every gate that reads no truth along the scene that turns most, over the true yaw rate.
+
+    Raises:
+        NotHereError: when there is no such gate, or no scene on which all were tested.
+    """
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
+    shown = {name: given for name, given in weights.items() if not subject.rows[name].run.privileged}
     recordings = subject.judged
     offsets, voters = recordings.offsets, recordings.voters(subject.track)
-    played = [i for i in range(len(recordings)) if all(np.isfinite(w[offsets[i] + 1]).all() for w in weights.values())]
-    if not played:
-        raise NotHereError("no scene was tested by every gate")
+    played = [i for i in range(len(recordings)) if all(np.isfinite(w[offsets[i] + 1]).all() for w in shown.values())]
+    if not shown or not played:
+        raise NotHereError("no gate that reads no truth was run on any common scene")
     scene = max(played, key=lambda i: np.ptp(recordings["truth.yaw_rad"][offsets[i] : offsets[i + 1]]))
     steps = slice(offsets[scene] + 1, offsets[scene + 1])
     time_s = recordings["time_s"][steps] - recordings["time_s"][offsets[scene]]
-    figure = Figure(figsize=(9.0, 1.5 * (len(weights) + 1) + 0.6), layout="constrained")
+    figure = Figure(figsize=(9.0, 1.5 * (len(shown) + 1) + 0.6), layout="constrained")
     FigureCanvasAgg(figure)
-    panels: Any = figure.subplots(len(weights) + 1, 1, sharex=True)
-    for panel, (name, given) in zip(panels, weights.items(), strict=False):
+    panels: Any = figure.subplots(len(shown) + 1, 1, sharex=True)
+    for panel, (name, given) in zip(panels, shown.items(), strict=False):
         for e, expert in enumerate(voters):
             colour, dashes = COLOURS[e % len(COLOURS)], DASHES[e % len(DASHES)]
             panel.plot(time_s, given[steps, e], color=colour, linestyle=dashes, linewidth=1.2, label=expert)
