@@ -130,6 +130,21 @@ def test_shares_of_equation_2_add_up(board: Leaderboard, recordings: Recordings)
     assert max(ours, key=ours.__getitem__) == "CAM_FRONT"  # the least noise of all cameras
 
 
+def test_shares_of_equation_2_step_by_step(board: Leaderboard, recordings: Recordings) -> None:
+    """Only moving steps in which no camera is silent; noise leaves no ties."""
+    subject = subject_of(board, recordings, None)
+    judged, cameras = subject.judged, board.recordings.manifest.cameras
+    wins = dict.fromkeys(cameras, 0)
+    for k in range(len(judged["dt_s"])):
+        errors = {c: abs(judged[f"{c}.yaw_increment_rad"][k] - judged["truth.yaw_increment_rad"][k]) for c in cameras}
+        if judged["truth.distance_m"][k] >= 0.2 * judged["dt_s"][k] and not np.isnan(list(errors.values())).any():
+            wins[min(errors, key=errors.__getitem__)] += 1
+    table = tables.equation_2(subject)
+    assert f" {sum(wins.values())} moving steps" in table.caption
+    for name, _, share, _ in table.rows[:4]:
+        assert share == pytest.approx(100.0 * wins[str(name)] / sum(wins.values()))
+
+
 def test_coupling_costs_all_cameras_and_the_solve(board: Leaderboard, recordings: Recordings, timed: Path) -> None:
     assert median_spent_ms(timed)["CAM_BACK"] == 10.0
     told = {line[0]: line for line in tables.coupling(subject_of(board, recordings, timed)).rows}

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from mixo_env.experts.expert import State
 from mixo_env.files import atomic_path
 from mixo_env.leaderboard.evaluation import poses
-from mixo_env.leaderboard.figures import from_start, line_styles, shown_rows
+from mixo_env.leaderboard.figures import from_start, line_styles
 from mixo_env.leaderboard.paper import printed
 from mixo_env.leaderboard.paper.parts import FRONT, NotHereError, Subject, marked
 from mixo_env.leaderboard.rows import Row
@@ -224,7 +224,7 @@ def figure_6(subject: Subject, path: Path) -> str:
     high = [f"{int((one > HIGH_ATE_M).sum())} of {len(one)}" for one in values]
     labels = [f"{marked(row)}   ({count})" for row, count in zip(rows, high, strict=True)]
     axis.set_yticks(range(1, len(rows) + 1), labels, fontsize=7)
-    axis.invert_yaxis()
+    axis.set_ylim(len(rows) + 0.7, 0.3)
     axis.set_xlabel(
         f"ATE of a scene [m]; in brackets: scenes above {HIGH_ATE_M:g} m (dashed); square-root scale", fontsize=8
     )
@@ -257,9 +257,7 @@ def figure_7(subject: Subject, path: Path) -> str:
     Raises:
         NotHereError: when no scene is long enough.
     """
-    rows = [row for row in shown_rows(subject.board, subject.standings) if any(at.samples for at in row.lengths)]
-    if not rows:
-        raise NotHereError("no scene is long enough for a piece")
+    rows = subject.by_length()
     styles = line_styles(rows)
     length, *ends = printed.FIGURE_7_END
     figure = new_figure(10.0, 4.6)

@@ -11,6 +11,8 @@ import numpy as np
 from mixo_env.errors import RecordingError
 from mixo_env.geometry import FloatArray
 from mixo_env.leaderboard.board import Leaderboard, Standings
+from mixo_env.leaderboard.figures import shown_rows
+from mixo_env.leaderboard.paper.printed import TABLE_1
 from mixo_env.leaderboard.rows import Row
 from mixo_env.metrics.absolute import SceneAbsolute
 from mixo_env.recordings.collection import Recordings
@@ -18,6 +20,7 @@ from mixo_env.recordings.presets import data_label
 from mixo_env.recordings.schema import UNEQUAL
 from mixo_env.recordings.store import TIMINGS_FILE, read_columns
 from mixo_env.recordings.truths import with_truth
+from mixo_env.recordings.variants import variants
 
 PAPER_TRACK = "PAPER"
 FRONT = "CAM_FRONT"
@@ -76,6 +79,20 @@ class Subject:
         if name not in self.rows:
             raise NotHereError(f"row {name} was not run or is not recorded")
         return self.rows[name]
+
+    def by_length(self) -> list[Row]:
+        """The rows of Fig. 7: the paper's without its variants, and HUBER; of imports alone those that fit a picture.
+
+        Raises:
+            NotHereError: when no scene is long enough for a piece.
+        """
+        alike = variants(self.board.recordings)
+        names = [name for name in (*(line.name for line in TABLE_1), "HUBER") if name not in alike]
+        found = [self.rows[name] for name in names if name in self.rows] or shown_rows(self.board, self.standings)
+        long = [row for row in found if any(at.samples for at in row.lengths)]
+        if not long:
+            raise NotHereError("no scene is long enough for a piece")
+        return long
 
     def cameras(self) -> tuple[str, ...]:
         """The cameras.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from mixo_env.leaderboard.figures import shown_rows
 from mixo_env.leaderboard.firing_order import MOVING_MPS, best_shares
 from mixo_env.leaderboard.paper import printed
 from mixo_env.leaderboard.paper.parts import FRONT, NotHereError, Subject, marked
@@ -152,9 +151,7 @@ def linear_weights(subject: Subject) -> Table:
 
 def by_length(subject: Subject) -> Table:
     """The numbers behind Fig. 7."""
-    rows = [row for row in shown_rows(subject.board, subject.standings) if row.lengths]
-    if not rows or not any(at.samples for row in rows for at in row.lengths):
-        raise NotHereError("no scene is long enough for a piece")
+    rows = subject.by_length()
     lengths = [at.length_m for at in rows[0].lengths]
     cells = [[marked(row), *(at.rotation_deg_per_m.mean for at in row.lengths)] for row in rows]
     cells.append(["pieces", *(at.samples for at in rows[0].lengths)])
