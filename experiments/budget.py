@@ -16,11 +16,10 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
-import numpy as np
 
 from mixo_env.envs.wrappers import standardise
-from mixo_env.files import atomic_path
-from mixo_env.policies.budget import Actions, BudgetPolicy, CameraSet, LinearByPattern, Played, greedy_order, play
+from mixo_env.leaderboard.paper.cost import TURNING_RADPS, averaged, camera_sets, draw_cost
+from mixo_env.policies.budget import Actions, BudgetPolicy, Played, play
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.presets import data_label
 from mixo_env.recordings.store import load_recordings
@@ -61,17 +60,7 @@ def policies(
     recordings: Recordings, fold: int, track: str, study: BudgetStudy
 ) -> Iterator[tuple[str, str, BudgetPolicy]]:
     """Kind and name of every policy, fitted without one fold."""
-    training = recordings.select(folds=[scene.fold for scene in recordings.scenes if scene.fold not in (fold, -1)])
-    linear = LinearByPattern(training, track)
-    cameras = linear.cameras
-    for on in ((), *((camera,) for camera in cameras), cameras):
-        name = {0: "no camera", len(cameras): "all cameras"}.get(len(on), "".join(on))
-        yield "trivial", name, CameraSet(linear, on)
-    order = greedy_order(recordings, track, linear, fold)
-    for count in range(1, len(order) + 1):
-        yield "greedy set", f"best {count}", CameraSet(linear, order[:count])
-    for rate in study.turning_radps:
-        yield "greedy while turning", f"best 2 above {np.rad2deg(rate):.1f} deg/s", CameraSet(linear, order[:2], rate)
+    yield from camera_sets(recordings, fold, track, study.turning_radps)
     for price in study.prices_per_ms if study.ppo_steps else ():
         yield "PPO", f"price {price:g} per ms", learn(recordings, fold, track, price, study)
 
@@ -90,7 +79,7 @@ class BudgetStudy:
     """Steps of training per fold and price; 0 leaves PPO out."""
     prices_per_ms: tuple[float, ...] = (0.003, 0.01, 0.03)
     """Prices PPO is trained for."""
-    turning_radps: tuple[float, ...] = (0.01, 0.03, 0.1)
+    turning_radps: tuple[float, ...] = TURNING_RADPS
     """Thresholds of the greedy policy that wakes cameras in turns."""
     seed: int = 0
     """Of PPO."""
@@ -103,47 +92,16 @@ class BudgetStudy:
         for fold in folds:
             for kind, name, policy in policies(recordings, fold, self.track, self):
                 points.setdefault((kind, name), []).append(play(policy, recordings, self.track, fold=fold))
-        rows = []
-        for (kind, name), parts in points.items():
-            cost, yaw, ate = (
-                float(np.mean(np.concatenate([getattr(part, field) for part in parts])))
-                for field in ("cost_ms", "yaw_rmse_deg", "ate_m")
-            )
-            rows.append((kind, name, cost, yaw, ate))
+        rows = [averaged(kind, name, parts) for (kind, name), parts in points.items()]
         print(
             f"track {self.track}, data {data_label(recordings.manifest)}, {len(recordings)} scenes, {len(folds)} folds"
         )
         print(f"{'':22}{'':22}{'ms/step':>8} {'yaw RMSE [deg]':>15} {'ATE [m]':>8}")
-        for kind, name, cost, yaw, ate in rows:
-            print(f"{kind:22}{name:22}{cost:8.1f} {yaw:15.4f} {ate:8.3f}")
-        self._draw(rows)
-        return 0
-
-    def _draw(self, rows: list[tuple[str, str, float, float, float]]) -> None:
-        import matplotlib as mpl
-
-        mpl.use("Agg")
-        from matplotlib import pyplot as plt
-
-        figure, axes = plt.subplots(1, 2, figsize=(10, 4), layout="constrained")
-        markers = {"trivial": "o", "greedy set": "s", "greedy while turning": "D", "PPO": "^"}
-        for axis, column, label in zip(axes, (3, 4), ("yaw increment RMSE [deg]", "ATE [m]"), strict=True):
-            for kind in dict.fromkeys(row[0] for row in rows):
-                mine = sorted((row for row in rows if row[0] == kind), key=lambda row: row[2])
-                line = "none" if kind == "trivial" else "-"
-                x, y = [row[2] for row in mine], [row[column] for row in mine]
-                axis.plot(x, y, marker=markers[kind], linestyle=line, label=kind)
-                if kind == "trivial":
-                    for row in mine:
-                        text = row[1].replace("CAM_", "").lower().replace("_", " ")
-                        axis.annotate(text, (row[2], row[column]), (5, 4), textcoords="offset points", fontsize=7)
-            axis.set(xlabel="image processing [ms per step]", ylabel=label)
-            axis.grid(alpha=0.3)
-        axes[0].legend(fontsize=8)
-        with atomic_path(self.out) as temporary:
-            figure.savefig(temporary, dpi=110, format=self.out.suffix[1:])
-        plt.close(figure)
+        for one in rows:
+            print(f"{one.kind:22}{one.name:22}{one.cost_ms:8.1f} {one.yaw_rmse_deg:15.4f} {one.ate_m:8.3f}")
+        draw_cost(rows, self.out)
         print(f"wrote {self.out}")
+        return 0
 
 
 if __name__ == "__main__":

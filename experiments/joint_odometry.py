@@ -16,10 +16,11 @@ from numpy.typing import NDArray
 from experiments.studies import exact_turn, print_study
 from mixo_env.errors import RecordingError
 from mixo_env.leaderboard.board import build
+from mixo_env.leaderboard.paper.parts import median_spent_ms
 from mixo_env.leaderboard.rows import Row
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.joint import JOINT
-from mixo_env.recordings.store import TIMINGS_FILE, load_recordings, read_columns
+from mixo_env.recordings.store import load_recordings
 from mixo_env.recordings.variants import as_variant
 from mixo_env.tables import Column, Table
 
@@ -48,7 +49,7 @@ class JointOdometryStudy:
     def run(self) -> Table:
         """Score every row against the headline's truth."""
         recordings = load_recordings(self.recordings)
-        spent = _spent_ms(self.recordings)
+        spent = median_spent_ms(self.recordings)
         return study(recordings, spent)
 
 
@@ -103,16 +104,6 @@ def _coverage(recordings: Recordings, name: str) -> list[float]:
     told = np.abs(error) / shown[f"{expert}.yaw_std_rad"]
     told = told[np.isfinite(told)]
     return [100.0 * float(np.mean(told < limit)) for limit in (1.0, 1.96)] if len(told) else [np.nan, np.nan]
-
-
-def _spent_ms(folder: Path) -> dict[str, float]:
-    """Row -> median CPU time; empty without timings."""
-    path = folder / TIMINGS_FILE
-    if not path.exists():
-        return {}
-    timings, _, _ = read_columns(path.read_bytes())
-    names = timings["camera"].astype(str)
-    return {str(name): float(np.nanmedian(timings["expert_ms"][names == name])) for name in np.unique(names)}
 
 
 def main(arguments: list[str] | None = None) -> int:

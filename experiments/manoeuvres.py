@@ -15,7 +15,6 @@ import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +24,7 @@ from mixo_env.fusion import least_squares_weights, mix
 from mixo_env.leaderboard.crossvalidation import CrossValidation, Trial
 from mixo_env.leaderboard.evaluation import Truth, with_wheels
 from mixo_env.leaderboard.manoeuvres import MANOEUVRES, Preference, manoeuvre_of, played_weights, preference
+from mixo_env.leaderboard.paper.weights import draw_by_manoeuvre
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.store import load_recordings
 from mixo_env.recordings.substitutes import substituted_increments
@@ -38,8 +38,6 @@ FloatArray = NDArray[np.float64]
 GATES = ("LINEAR", "LINEAR GATE", "MIXO", "HUBER", "SOFTMIN", "TOKEN")
 BEST = "MULTICAMERA GT"
 TOLD = "LINEAR BY MANOEUVRE †"
-COLOURS = ("#0072B2", "#56B4E9", "#E69F00", "#CC79A7", "#999999", "#009E73", "#D55E00", "#222222")
-"""Of experts; colour-blind eyes tell them apart (Okabe and Ito 2008)."""
 
 
 @dataclass(frozen=True)
@@ -75,7 +73,7 @@ class Manoeuvres:
         recordings = load_recordings(None if self.recordings is None else str(self.recordings))
         findings = study(recordings, self.track, self.rows, self.seeds)
         if self.figure is not None:
-            draw(findings, self.figure)
+            draw_by_manoeuvre([finding.preference for finding in findings], self.figure)
         return table(findings, f"{recordings.manifest.data_version}, track {self.track}")
 
 
@@ -164,38 +162,6 @@ def table(findings: Sequence[Finding], what: str) -> Table:
         "all steps. † reads ground truth."
     )
     return Table(caption, columns, lines, [k for k in range(1, len(lines)) if lines[k][0] != lines[k - 1][0]])
-
-
-def draw(findings: Sequence[Finding], path: Path) -> None:
-    """Stacked weights, one panel a row; an expert whose weight differs from straight by more than chance is framed."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    from mixo_env.files import atomic_path
-
-    columns = min(len(findings), 3)
-    rows = -(-len(findings) // columns)
-    figure = Figure(figsize=(3.3 * columns, 2.5 * rows + 0.5), layout="constrained")
-    FigureCanvasAgg(figure)
-    panels: Any = figure.subplots(rows, columns, squeeze=False, sharey=True).ravel()
-    for panel in panels[len(findings) :]:
-        panel.set_visible(False)
-    for panel, finding in zip(panels, findings, strict=False):
-        one = finding.preference
-        bottom = np.zeros(len(MANOEUVRES))
-        for e, (expert, colour) in enumerate(zip(one.experts, COLOURS, strict=False)):
-            height = np.nan_to_num(np.maximum(one.mean[:, e], 0.0))
-            edges = ["black" if framed else "none" for framed in one.changed[:, e]]
-            panel.bar(MANOEUVRES, height, bottom=bottom, color=colour, edgecolor=edges, linewidth=1.4, label=expert)
-            bottom += height
-        panel.set_title(one.row, fontsize=9)
-        panel.tick_params(labelsize=7)
-        panel.set_ylim(0.0, 1.05)
-    panels[0].set_ylabel("weight", fontsize=8)
-    handles, labels = panels[0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside lower center", ncols=5, fontsize=8)
-    with atomic_path(path) as part_file:
-        figure.savefig(part_file, format="png", dpi=110, metadata={"Software": None})
 
 
 def main(arguments: list[str] | None = None) -> int:

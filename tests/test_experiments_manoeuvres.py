@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from docs._pages.manoeuvres_page import page
-from experiments.manoeuvres import TOLD, Finding, draw, main, study, table, told
+from experiments.manoeuvres import TOLD, Finding, main, study, table, told
 from mixo_env.fusion import mix
 from mixo_env.leaderboard.crossvalidation import CrossValidation
 from mixo_env.leaderboard.manoeuvres import MANOEUVRES, manoeuvre_of, played_weights, preference
+from mixo_env.leaderboard.paper.weights import draw_by_manoeuvre
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.store import save_recordings
 from mixo_env.recordings.substitutes import substituted_increments
@@ -138,7 +139,7 @@ def test_page_table_and_figure(findings: list[Finding], tmp_path) -> None:
     assert names == ["LINEAR", "HUBER", "MULTICAMERA GT †", TOLD]
     assert all(np.isfinite(finding.deg_per_m) for finding in findings)
     assert len(table(findings, "x").rows[0]) == 3 + 4 * 5 + 2
-    draw(findings, tmp_path / "weights.png")
+    draw_by_manoeuvre([finding.preference for finding in findings], tmp_path / "weights.png")
     assert (tmp_path / "weights.png").read_bytes().startswith(b"\x89PNG")
     one = findings[0]
     text = page([*findings, *(replace(one, preference=replace(one.preference, row=r)) for r in ("MIXO", "TOKEN"))])

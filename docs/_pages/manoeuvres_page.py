@@ -10,9 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.manoeuvres import GATES, Finding, draw, study
+from experiments.manoeuvres import GATES, Finding, study
 from mixo_env.files import write_text
 from mixo_env.leaderboard.manoeuvres import MANOEUVRES
+from mixo_env.leaderboard.paper.weights import draw_by_manoeuvre
 from mixo_env.recordings.store import load_recordings
 
 PAGE = Path(__file__).parents[1] / "manoeuvres.md"
@@ -86,6 +87,6 @@ def weight_table(findings: Sequence[Finding]) -> str:
 
 if __name__ == "__main__":
     findings = study(load_recordings(None), "PAPER", (*GATES, "PPO"))
-    draw(findings, FIGURE)
+    draw_by_manoeuvre([finding.preference for finding in findings], FIGURE)
     write_text(PAGE, page(findings))
     print(f"wrote {PAGE} and {FIGURE}")

@@ -22,6 +22,7 @@ class Benchmark:
       mixo benchmark --recordings recorded              on your own, from `mixo record`
       mixo benchmark --tracks CONSUMER --policies LINEAR MIXO highest-match --sort deg/m
       mixo benchmark --by condition situation           also by day, rain, night, and by what was staged
+      mixo benchmark --paper --tracks PAPER             also every table and figure of the paper, beside its numbers
       mixo benchmark --ground-truth keyframes           the paper's clock: one step from key frame to key frame
     """
 
@@ -57,6 +58,9 @@ class Benchmark:
     sort: Literal["table", "deg/m", "%", "ate-m", "ate-deg", "yaw", "written"] = "table"
     """Order of the rows within each section."""
 
+    paper: bool = False
+    """Write paper.md as well: the paper's tables beside its printed numbers, and its figures (paper-*.png)."""
+
     out: Path | None = None
     """Folder for the results. None: results/benchmark-<date>-<time>, and results/latest points there."""
 
@@ -73,6 +77,7 @@ class Benchmark:
         from mixo_env.leaderboard.drives import drives_json
         from mixo_env.leaderboard.exports import to_csv, to_json
         from mixo_env.leaderboard.figures import draw_trajectories
+        from mixo_env.leaderboard.paper.pages import write_paper
         from mixo_env.leaderboard.report import print_leaderboard, to_markdown
         from mixo_env.leaderboard.report_page import write_report
         from mixo_env.leaderboard.trajectories import write_all
@@ -102,6 +107,9 @@ class Benchmark:
         write_bytes(folder / "drives.json", json.encode(drives_json(board)))  # long lists: not a number a line
         draw_trajectories(board, folder / "trajectories.png")
         write_all(board, folder / "trajectories.zip")
+        if self.paper:
+            own = self.recordings if self.recordings and self.recordings.is_dir() else None
+            write_paper(board, recordings, folder, own)
         page = write_report(folder)
         point_latest(folder)
         print_leaderboard(board, sort=self.sort, by=self.by)
@@ -128,6 +136,7 @@ class Benchmark:
             "ground_truth": self.ground_truth,
             "by": list(self.by),
             "sort": self.sort,
+            "paper": self.paper,
             "data_version": board.recordings.manifest.data_version,
             "scenes": {scene.name: scene.values_hash for scene in recordings.scenes if scene.name in scored},
             "software": {package: version(package) for package in packages},

@@ -62,18 +62,18 @@ def draw_trajectories(board: Leaderboard, path: Path) -> None:
     lanes = 0.35 + 0.22 * len(cameras)
     axes: Any = figure.subplots(3, len(scenes), squeeze=False, height_ratios=(3.4, 2.6, lanes))
     truth = board.truths[board.headline]
-    styles = _styles(rows)
+    styles = line_styles(rows)
     travels = [(row, poses(row.run.travel, truth.poses, truth.offsets)) for row in rows]
     for column, scene in enumerate(scenes):
         steps = slice(*truth.offsets[scene : scene + 2])
         above, middle, below = axes[:, column]
         entry = board.recordings.scenes[scene]
         way_m = truth.travelled_m[steps]
-        above.plot(*_from_start(truth.poses, truth.poses, steps), color="black", linewidth=3.0, alpha=0.35)
+        above.plot(*from_start(truth.poses, truth.poses, steps), color="black", linewidth=3.0, alpha=0.35)
         for row, estimate in travels:
             if not row.run.tested[scene]:
                 continue
-            above.plot(*_from_start(estimate, truth.poses, steps), **styles[row.name])
+            above.plot(*from_start(estimate, truth.poses, steps), **styles[row.name])
             error = np.hypot(estimate.x_m - truth.poses.x_m, estimate.y_m - truth.poses.y_m)[steps]
             middle.plot(way_m, error, **styles[row.name])
         _draw_lost(below, board, cameras, steps, way_m)
@@ -112,7 +112,7 @@ def shown_rows(board: Leaderboard, standings: Standings) -> list[Row]:
     return [rows[name] for name in order]
 
 
-def _styles(rows: list[Row]) -> dict[str, dict[str, Any]]:
+def line_styles(rows: list[Row]) -> dict[str, dict[str, Any]]:
     """Colour, dashes and width of every row: fused rows are thicker than single experts."""
     others = iter(itertools.cycle(OTHERS))
     return {
@@ -168,7 +168,7 @@ def _most_winding_of_different_logs(board: Leaderboard, rows: list[Row]) -> list
     return sorted((chosen + [i for i in order if i not in chosen])[:SCENES])
 
 
-def _from_start(way: PlanarPoses, truth: PlanarPoses, rows: slice) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def from_start(way: PlanarPoses, truth: PlanarPoses, rows: slice) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Right and forward [m] as seen from the true first pose."""
     dx, dy = way.x_m[rows] - truth.x_m[rows][0], way.y_m[rows] - truth.y_m[rows][0]
     cos, sin = np.cos(truth.yaw_rad[rows][0]), np.sin(truth.yaw_rad[rows][0])
