@@ -68,14 +68,12 @@ function drawPaths(canvas, rows, magnify) {
   const { pen, width, height } = prepared(canvas);
   const k = rows[0].estimate.step;
   const entries = [["truth", { colour: "#999", dash: [], width: 7 }], ...rows.map((row) => [row.name, row.look])];
-  const top = legend(pen, entries, 10, 18, width) + 12;
+  const top = legend(pen, entries, 10, 18, width) + 30; // room for those who drift ahead
   const [left, right] = [Math.min(...whole.x), Math.max(...whole.x)];
   const [low, high] = [Math.min(...whole.y), Math.max(...whole.y)];
   const scale = Math.min((width - 60) / Math.max(right - left, 10), (height - top - 50) / Math.max(high - low, 10));
   const place = (x, y) => [width / 2 + (x - (left + right) / 2) * scale, top + (height - top - 20) / 2 - (y - (low + high) / 2) * scale];
-  pen.globalAlpha = 0.35;
-  line(pen, whole.x.map((x, i) => place(x, whole.y[i])), { colour: "#999", dash: [], width: 1 }); // the road ahead
-  pen.globalAlpha = 1;
+  line(pen, whole.x.map((x, i) => place(x, whole.y[i])), { colour: "#bbb", dash: [], width: 1.5 }); // the road ahead
   line(pen, whole.x.slice(0, k + 1).map((x, i) => place(x, whole.y[i])), { colour: "#999", dash: [], width: 7 });
   for (const { estimate, look } of [...rows].reverse()) {
     const points = [];
@@ -88,6 +86,8 @@ function drawPaths(canvas, rows, magnify) {
     pen.arc(...points[k], 4, 0, 7);
     pen.fill();
   }
+  pen.clearRect(0, 0, width, top - 22);
+  legend(pen, entries, 10, 18, width);
   const bar = niceStep((right - left) || 10, 5);
   line(pen, [[12, height - 12], [12 + bar * scale, height - 12]], { colour: "#1a1a1a", dash: [], width: 2 });
   write(pen, `${bar} m`, 18 + bar * scale, height - 8);
@@ -112,15 +112,15 @@ function drawClaims(canvas, step, minusTruth) {
   const looks = DRIVE.experts.map((_, j) => ({ colour: COLOURS[j % 6], dash: DASHES[j % 6], width: 1.7 }));
   const entries = DRIVE.experts.map((name, j) => [short(name), looks[j]]);
   if (!minusTruth) entries.unshift(["truth", { colour: "#bbb", dash: [], width: 6 }]);
-  const top = legend(pen, entries, 10, 18, width) + 10;
+  const top = legend(pen, entries, 10, 18, width) + 26;
   const lanes = 14 * DRIVE.experts.length + 8;
-  const box = { left: 46, right: width - 10, top, bottom: height - 34 - lanes };
+  const box = { left: 72, right: width - 10, top, bottom: height - 34 - lanes };
   const shown = claimed.map((series) => series.map((v, i) => (v === null || !minusTruth ? v : v - trueRates[i])));
   const [low, high] = minusTruth ? bounds(shown, 0.98) : bounds([...shown, trueRates], 0.999);
   const across = (time) => box.left + ((box.right - box.left) * time) / times[STEPS];
   const up = (value) => box.bottom - ((box.bottom - box.top) * (value - low)) / (high - low);
   drawGrid(pen, box, low, high, across, up, height);
-  write(pen, minusTruth ? "claim minus truth, deg/s" : "yaw rate, deg/s", box.left + 4, box.top + 11, "#555");
+  write(pen, minusTruth ? "claim minus truth, deg/s" : "yaw rate, deg/s", box.left, box.top - 6, "#555");
   pen.save();
   pen.beginPath();
   pen.rect(box.left, box.top, box.right - box.left, box.bottom - box.top);
@@ -150,7 +150,7 @@ function drawGrid(pen, box, low, high, across, up, height) {
 function drawLost(pen, looks, box, across, step) {
   DRIVE.experts.forEach((name, j) => {
     const y = box.bottom + 16 + 14 * j;
-    write(pen, `${short(name).slice(0, 11)}`, box.left - 5, y, "#555", "right");
+    write(pen, short(name).slice(0, 11), box.left - 5, y, "#555", "right");
     line(pen, [[box.left, y - 4], [box.right, y - 4]], { colour: "#eee", dash: [], width: 1 });
     [...(DRIVE.states[name] ?? "")].slice(0, step + 1).forEach((letter, i) => {
       if (letter === "t") return;

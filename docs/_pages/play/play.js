@@ -73,7 +73,7 @@ function drawExperts() {
     card.share.textContent = `${(100 * share).toFixed(0)} %`;
     card.slider.setAttribute("aria-valuetext", `${given[j]} of 100, ${card.share.textContent} of the vote`);
     const theirs = game.rows.slice(1).filter((row) => !row.knows);
-    card.seen.textContent = theirs.map((row) => `${row.name} ${(100 * row.weights[step][j]).toFixed(0)} %`).join(", ");
+    card.seen.textContent = theirs.map((row) => `${row.name} ${(100 * row.weights[step][j]).toFixed(0)}\u00a0%`).join(", ");
     drawPicture(card, step);
   });
 }
@@ -111,7 +111,7 @@ function draw() {
   drawExperts();
   drawScores();
   // Read aloud where somebody listens: when the game stands still.
-  if (game.timer === null) byId("verdict").textContent = verdict();
+  byId("verdict").textContent = game.timer === null ? verdict() : "Playing.";
   drawCharts();
 }
 
