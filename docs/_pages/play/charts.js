@@ -146,7 +146,7 @@ function drawGrid(pen, box, low, high, across, up, height) {
   }
 }
 
-// One lane an expert: a cross where it is lost, a dot where it has not begun or got no picture.
+// One lane an expert: a cross where it is lost, a dot where it starts up or got no picture.
 function drawLost(pen, looks, box, across, step) {
   DRIVE.experts.forEach((name, j) => {
     const y = box.bottom + 16 + 14 * j;

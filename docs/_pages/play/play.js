@@ -1,7 +1,7 @@
 "use strict";
 // The game. Names from data only ever become text. Last: the page begins here.
 const byId = (id) => document.getElementById(id);
-const PHRASES = { t: "tracking", l: "✕ lost", i: "· not begun", n: "· no picture" };
+const PHRASES = { t: "tracking", l: "✕ lost", i: "· starting up", n: "· no picture" };
 const game = { you: null, rows: [], timer: null, cards: [] };
 
 function element(name, text, attributes = {}) {

@@ -126,4 +126,6 @@ def _name(axis: Any, points: Sequence[Point], field: str) -> None:
         text = one.name.replace("CAM_", "").lower().replace("_", " ")
         last = one.cost_ms == max(other.cost_ms for other in points)
         place: dict[str, Any] = {"xytext": (-4, 6), "ha": "right"} if last else {"xytext": (5, 4)}
-        axis.annotate(text, (one.cost_ms, getattr(one, field)), textcoords="offset points", fontsize=7, **place)
+        # On white: a line of another kind may pass behind a name.
+        place["bbox"] = {"facecolor": "white", "alpha": 0.8, "edgecolor": "none", "pad": 0.5}
+        axis.annotate(text, (one.cost_ms, getattr(one, field)), textcoords="offset points", fontsize=8, **place)
