@@ -1,4 +1,4 @@
-"""Draw docs/figures/fusion.png: the drive on which fusion gains most on the front camera, and that on which it loses most.
+"""Draw docs/figures/fusion.png: the drives on which fusion gains most on the front camera and loses most.
 
     python -m docs._pages.fusion_drives
 

@@ -43,9 +43,7 @@ def telling_drive(recordings: Recordings, track: str) -> str:
     protocol = CrossValidation(recordings)
     scored = protocol.recordings
     truth = PlanarPoses(*(scored[f"truth.{name}"].astype(np.float64) for name in ("x_m", "y_m", "yaw_rad")))
-    front, huber = (
-        yaw_errors_rad(scored, protocol.run(name, track).travel, truth) for name in ("CAM_FRONT", "HUBER")
-    )
+    front, huber = (yaw_errors_rad(scored, protocol.run(name, track).travel, truth) for name in ("CAM_FRONT", "HUBER"))
     lost = [_lost_in_a_turn(scored, *rows) for rows in itertools.pairwise(scored.offsets.tolist())]
     gain = np.where(lost, front - huber, -np.inf)
     if not np.isfinite(gain).any():
