@@ -4,13 +4,23 @@ BIN := .venv/bin
 WORKERS ?= 2
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: benchmark mixocity test integration integrations site faults browser coverage lint types unit format clean
+.PHONY: benchmark mixocity pictures test integration integrations site faults browser coverage lint types unit format clean
 
 benchmark: .venv/installed  ## the leaderboard on the bundled recordings
 	$(BIN)/mixo benchmark
 
 mixocity: .venv/installed  ## the bundled recordings anew, from nothing: hours; resumable
 	$(BIN)/python -m experiments.mixocity --workers $(WORKERS)
+
+# The images of the GIF's scene lie where `make mixocity` keeps them.
+pictures: .venv/integrations  ## figures of README and the page to play, after new recordings; PPO is trained for one of them
+	$(BIN)/python -m docs._pages.play
+	$(BIN)/python -m docs._pages.episode_gif --dataroot $$HOME/.cache/mixocity/city
+	$(BIN)/python -m docs._pages.fusion_drives
+	$(BIN)/python -m docs._pages.metric_drawings
+	$(BIN)/python -m experiments.budget
+	$(BIN)/mixo benchmark --out results/pictures
+	cp results/pictures/trajectories.png docs/figures/
 
 test: lint types unit  ## what every change must pass
 

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from docs._pages.episode_gif import EpisodeGif
 from experiments.budget import BudgetStudy
+from mixo_env.envs import rendering
 from mixo_env.recordings.store import save_recordings
 from tests.synthetic import synthetic_recordings
 
@@ -30,12 +32,22 @@ def test_budget_study(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixtur
     assert (tmp_path / "budget.png").stat().st_size > 10_000
 
 
-def test_episode_gif(folder: Path, tmp_path: Path) -> None:
+def test_episode_gif(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     from PIL import Image
 
+    written: list[str] = []
+    plainly = rendering.write
+
+    def noted(canvas: rendering.Image, text: str, *place: Any) -> None:
+        written.append(text)
+        plainly(canvas, text, *place)
+
+    monkeypatch.setattr(rendering, "write", noted)
     out = tmp_path / "episode.gif"
     script = EpisodeGif(out, recordings=folder, scene="scene-2004", policy="LINEAR", every=10, width=320)
     assert script.run() == 0
     with Image.open(out) as picture:
         assert picture.size == (320, 180)
-        assert 3 <= picture.n_frames <= 5  # type: ignore[attr-defined]
+        frames = picture.n_frames  # type: ignore[attr-defined]
+    assert 3 <= frames <= 5
+    assert written.count("weights of LINEAR") == frames

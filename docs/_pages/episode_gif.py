@@ -55,7 +55,9 @@ class EpisodeGif:
             render_mode="rgb_array",
         )
         size = self.width, self.width * 9 // 16
-        pictures = [Image.fromarray(frame).resize(size, Image.Resampling.LANCZOS) for frame in self._frames(env)]
+        pictures = [
+            Image.fromarray(self._named(frame)).resize(size, Image.Resampling.LANCZOS) for frame in self._frames(env)
+        ]
         drawing = [rendering.WHITE, rendering.INK, rendering.ESTIMATE, rendering.BAR, *rendering.STATES.values()]
         street = pictures[len(pictures) // 2].quantize(self.colours - len(drawing)).getpalette() or []
         palette = Image.new("P", (1, 1))
@@ -73,6 +75,14 @@ class EpisodeGif:
             drawn[0].save(temporary, format="GIF", **moving)
         print(f"wrote {self.out}: {len(drawn)} frames, {self.out.stat().st_size / 1024:.0f} KiB")
         return 0
+
+    def _named(self, frame: np.ndarray) -> np.ndarray:
+        """A frame that says, above the bars, whose weights these are."""
+        from mixo_env.envs import rendering
+
+        left, top, *_ = rendering.BARS
+        rendering.write(frame, f"weights of {self.policy}", (left, top - 5), 0.45)
+        return frame
 
     def _frames(self, env: Any) -> list[np.ndarray]:
         from mixo_env.policies.fitting import prepare

@@ -68,6 +68,7 @@ def absolute() -> Figure:
     """The same estimate unaligned and aligned, with the distances the ATE is made of."""
     truth, estimate = _drive()
     figure, row = _figure(10.0, 3.4, columns=3)
+    shown = []
     for axes, method in zip(row, ("none", "se3", "sim3"), strict=True):
         aligned = align(truth, estimate, method).apply(estimate)
         ate_m = statistics(absolute_errors(truth, aligned).translation_m).rmse
@@ -75,7 +76,9 @@ def absolute() -> Figure:
         axes.plot([x[::4], u[::4]], [y[::4], v[::4]], color="0.6", linewidth=0.8)
         _paths(axes, truth, aligned)
         axes.set_title(f"{method}: ATE {ate_m:.2f} m", fontsize=10)
-    row[0].legend(fontsize=8)
+        shown += [np.stack([x, y]), np.stack([u, v])]
+    _alike(row, np.concatenate(shown, axis=1))
+    row[0].legend(fontsize=8, loc="upper left")
     return figure
 
 
@@ -196,14 +199,14 @@ def uncertainty() -> Figure:
     """Errors over their stated standard deviation, for a calibrated and for an overconfident method."""
     rng = np.random.default_rng(1)
     ratio = rng.standard_normal(4000)
-    figure, row = _figure(9.0, 2.8, columns=2)
+    figure, row = _figure(9.0, 3.0, columns=2)
     for axes, name, stated in ((row[0], "calibrated", 1.0), (row[1], "overconfident", 0.5)):
         result = uncertainty_score(ratio, np.full(len(ratio), stated))
         axes.hist(ratio / stated, bins=np.linspace(-6, 6, 60), density=True, color=ESTIMATE, alpha=0.7)
         z = np.linspace(-6, 6, 200)
         axes.plot(z, np.exp(-0.5 * z * z) / np.sqrt(2 * np.pi), color=TRUTH_COLOUR)
-        title = f"{name}: NEES {result.nees:.2f}, {result.coverage_68:.0%} in 68 %, {result.coverage_95:.0%} in 95 %"
-        axes.set_title(title, fontsize=9)
+        held = f"stated 68 % holds {100 * result.coverage_68:.0f} %, stated 95 % holds {100 * result.coverage_95:.0f} %"
+        axes.set_title(f"{name}: NEES {result.nees:.2f}\n{held}", fontsize=9)
         axes.set(xlabel="error / stated standard deviation", yticks=[])
     return figure
 
@@ -244,6 +247,14 @@ def _paths(axes: Axes, truth: Trajectory, estimate: Trajectory) -> None:
     axes.plot(*estimate.planar()[:2], color=ESTIMATE, linewidth=1.5, label="estimate")
     axes.set_aspect("equal", adjustable="datalim")
     axes.set(xlabel="x [m]", ylabel="y [m]")
+
+
+def _alike(row: Any, shown_m: FloatArray) -> None:
+    """One scale and one section of the plane for all panels, around points ``(2, N)``."""
+    low, high = shown_m.min(axis=1) - 3.0, shown_m.max(axis=1) + 3.0
+    for axes in row:
+        axes.set_aspect("equal", adjustable="box")
+        axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]))
 
 
 def _figure(width: float, height: float, columns: int = 1) -> tuple[Figure, Any]:

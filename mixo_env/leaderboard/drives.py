@@ -37,7 +37,7 @@ def drives_json(board: Leaderboard) -> dict[str, Any]:
     numbers = rows * POINTS * (2 + len(recordings.experts))  # of one scene at most: a path and weights a row
     scenes = _winding_first(board)[: max(1, MOST_NUMBERS // numbers)]
     chosen = recordings.select(scenes=[recordings.scenes[i].name for i in sorted(scenes)])
-    scenes = sorted(scenes)
+    scenes, turned = sorted(scenes), _turned_rad(board)
     steps = [_thinned(*truth.offsets[i : i + 2]) for i in scenes]
     cameras = [c for c in recordings.manifest.cameras or recordings.manifest.imported if f"{c}.state" in recordings]
     return {
@@ -46,6 +46,7 @@ def drives_json(board: Leaderboard) -> dict[str, Any]:
                 "name": recordings.scenes[i].name,
                 "log": recordings.scenes[i].log,
                 "condition": condition_of(recordings.scenes[i]),
+                "turned_deg": round(float(np.degrees(turned[i]))),
                 "time_s": np.round(recordings["time_s"][at] - recordings["time_s"][at[0]], 2).tolist(),
                 "x_cm": _centimetres(truth.poses.x_m[at] - truth.poses.x_m[at[0]]),
                 "y_cm": _centimetres(truth.poses.y_m[at] - truth.poses.y_m[at[0]]),
@@ -105,14 +106,19 @@ def _weights(row: Row, chosen: Recordings, track: str) -> tuple[Sequence[str], d
 
 def _winding_first(board: Leaderboard) -> list[int]:
     """All scenes: the most winding of every log, then the next of every log, and so on."""
-    truth, entries = board.truths[board.headline], board.recordings.scenes
-    turned = [np.ptp(truth.poses.yaw_rad[first:stop]) for first, stop in itertools.pairwise(truth.offsets)]
+    entries = board.recordings.scenes
     place: dict[str, int] = {}
     order = []
-    for i in np.argsort(turned, kind="stable")[::-1].tolist():
+    for i in np.argsort(_turned_rad(board), kind="stable")[::-1].tolist():
         place[entries[i].log] = place.get(entries[i].log, -1) + 1
         order.append((place[entries[i].log], i))
     return [i for _, i in sorted(order, key=lambda one: one[0])]
+
+
+def _turned_rad(board: Leaderboard) -> FloatArray:
+    """``(scenes,)`` how far apart the headings of a scene lie."""
+    truth = board.truths[board.headline]
+    return np.array([np.ptp(truth.poses.yaw_rad[first:stop]) for first, stop in itertools.pairwise(truth.offsets)])
 
 
 def _thinned(first: int, stop: int) -> NDArray[np.int64]:

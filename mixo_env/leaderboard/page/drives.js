@@ -7,8 +7,9 @@ const way = (name) => DATA.drives.tracks[shown.track][name]?.scenes[Number(byId(
 function fillDrives() {
   const scenes = DATA.drives.scenes;
   const before = byId("scene").value;
-  options(byId("scene"), scenes.map((one) => `${one.name} (${one.condition}, ${one.log})`), scenes.map((_, i) => i));
-  byId("scene").value = before || 0;
+  options(byId("scene"), scenes.map((one) => `${one.name} (${one.condition}, turns ${one.turned_deg} deg, ${one.log})`), scenes.map((_, i) => i));
+  // A straight drive shows little: the most winding one comes first to the eye.
+  byId("scene").value = before || scenes.reduce((best, one, i) => (one.turned_deg > scenes[best].turned_deg ? i : best), 0);
   const rows = DATA.drives.tracks[shown.track];
   const names = Object.keys(rows);
   if (![...chosen].some((name) => names.includes(name))) {

@@ -110,7 +110,8 @@ def draw_cost(points: Sequence[Point], path: Path) -> None:
             mine = sorted((one for one in points if one.kind == kind), key=lambda one: one.cost_ms)
             line = "none" if kind == "trivial" else "-"
             x, y = [one.cost_ms for one in mine], [getattr(one, field) for one in mine]
-            axis.plot(x, y, marker=MARKERS[kind], linestyle=line, label=kind)
+            (drawn,) = axis.plot(x, y, linestyle=line, zorder=1)
+            axis.plot(x, y, MARKERS[kind], color=drawn.get_color(), label=kind, zorder=3)
             if kind == "trivial":
                 _name(axis, mine, field)
         axis.set(xlabel="image processing [ms per step]", ylabel=label)
@@ -126,4 +127,6 @@ def _name(axis: Any, points: Sequence[Point], field: str) -> None:
         text = one.name.replace("CAM_", "").lower().replace("_", " ")
         last = one.cost_ms == max(other.cost_ms for other in points)
         place: dict[str, Any] = {"xytext": (-4, 6), "ha": "right"} if last else {"xytext": (5, 4)}
-        axis.annotate(text, (one.cost_ms, getattr(one, field)), textcoords="offset points", fontsize=7, **place)
+        # On white, above lines and below markers: a line of another kind may pass behind a name.
+        place |= {"bbox": {"facecolor": "white", "edgecolor": "none", "pad": 0.5}, "zorder": 2}
+        axis.annotate(text, (one.cost_ms, getattr(one, field)), textcoords="offset points", fontsize=8, **place)
