@@ -16,7 +16,6 @@ from mixo_env.leaderboard.board import Leaderboard, Standings
 from mixo_env.leaderboard.conditions import condition_of
 from mixo_env.leaderboard.crossvalidation import Run
 from mixo_env.leaderboard.evaluation import poses
-from mixo_env.leaderboard.rows import Row
 from mixo_env.policies.playing import play
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.variants import as_variant
