@@ -33,6 +33,9 @@ from mixo_env.recordings.presets import data_label
 
 TIMELINE = "time_s"
 TRUTH_COLOUR = "#8C929C"
+DOT = -5.0
+"""Radius of marks: below 0 it is in points of the screen."""
+
 FRUSTUM_M = 1.5
 """Distance at which a camera's image is drawn."""
 
@@ -136,12 +139,10 @@ def _log_way(recording: Any, drive: OneDrive, way: OneWay, parts: tuple[str, ...
     import rerun  # pyright: ignore[reportMissingImports]
 
     places = places_m(drive, way)
-    radius = rerun.Radius.ui_points(3.0 if way is drive.truth else 1.5)
+    radius = -3.0 if way is drive.truth else -1.5  # below 0: points of the screen
     line = rerun.LineStrips3D([places], colors=[_rgb(colour)], radii=[radius])
     recording.log(_path(*parts), line, static=True)
-    label = rerun.Points3D.from_fields(
-        colors=[_rgb(colour)], radii=[rerun.Radius.ui_points(5.0)], labels=[way.name], show_labels=False
-    )
+    label = rerun.Points3D.from_fields(colors=[_rgb(colour)], radii=[DOT], labels=[way.name], show_labels=False)
     recording.log(_path(*parts, "now"), label, static=True)
     _send(recording, (*parts, "now"), drive.time_s, rerun.Points3D.columns(positions=places))
 
@@ -168,7 +169,7 @@ def _log_cameras(recording: Any, drive: OneDrive) -> None:
         _log_curve(recording, ("matches", camera), drive.time_s, recordings[f"{camera}.matches"], colour)
         _log_curve(recording, ("lost", camera), drive.time_s, lost.astype(np.float64), colour)
         raised = places[lost] + [0.0, 0.0, 0.5 * (j + 1)]  # one layer a camera: they are often lost together
-        points = rerun.Points3D(raised, colors=[_rgb(colour)], radii=[rerun.Radius.ui_points(4.0)])
+        points = rerun.Points3D(raised, colors=[_rgb(colour)], radii=[DOT])
         recording.log(_path("world", "lost", camera), points, static=True)
 
 
