@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import itertools
+import os
+import re
+import subprocess
+import sys
 from pathlib import Path
 
 import cv2
@@ -28,6 +32,7 @@ from mixo_env.simulator.dataset import simulate
 from tests.recording_fakes import FAKES
 from tests.synthetic import synthetic_recordings
 
+ROOT = Path(__file__).parent.parent
 RECORDINGS = synthetic_recordings(scenes=8, steps=20)
 SCENE = "scene-2002"
 SLIDE_PX = 3
@@ -276,3 +281,28 @@ def check(path: Path, entity: str, kind: str, time_s: np.ndarray, expected: np.n
     times, values = over_time(path, entity, component)
     np.testing.assert_allclose(times, time_s, atol=1e-6, err_msg=entity)
     np.testing.assert_allclose(np.array(values)[:, 0], expected, rtol=1e-6, err_msg=entity)
+
+
+COMMANDS = [
+    line
+    for block in re.findall(r"```sh\n(.*?)```", (ROOT / "docs" / "viewers.md").read_text(encoding="utf-8"), re.DOTALL)
+    for line in block.splitlines()
+]
+
+
+@pytest.mark.site
+@pytest.mark.integration
+@pytest.mark.parametrize("line", COMMANDS)
+def test_the_page_is_followed_word_by_word(line: str, pictured: tuple[Path, Recordings], tmp_path: Path) -> None:
+    """Only the path of the real folder is another."""
+    pytest.importorskip("tensorboard" if "--tensorboard" in line else "rerun")
+    root, recordings = pictured
+    save_recordings(recordings, tmp_path / "recordings")
+    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    command = ["bash", "-c", line.replace("/data/nuscenes", str(root))]
+    done = subprocess.run(
+        command, cwd=tmp_path, env=os.environ | {"PATH": path}, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, (line, done.stdout, done.stderr)
+    out = re.findall(r"--(?:out|tensorboard) (\S+)", line)
+    assert all((tmp_path / name).exists() for name in out)

@@ -59,12 +59,12 @@ class Train:
 
         if self.all == bool(self.names):
             raise ConfigurationError("expected names of rows, or --all, not both: `mixo train TOKEN`")
-        if self.tensorboard is not None:
-            from mixo_env.leaderboard.curves import require_tensorboard
-
-            require_tensorboard()
         recordings = load_recordings(None if self.recordings is None else str(self.recordings))
         rows = requested(recordings, self.tracks, self.names)
+        if self.tensorboard is not None:
+            from mixo_env.leaderboard.curves import check_watched
+
+            check_watched(rows)
         curves = self.tensorboard and writable_folder(self.tensorboard)
         trial = Trial(self.seed, self.seeds, weights=writable_folder(self.out), curves=curves)
         division = CrossValidation(recordings, trial)

@@ -9,6 +9,7 @@ They are for the eye: no method of this package chooses anything by them.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -39,6 +40,17 @@ def require_tensorboard() -> None:
     """
     if find_spec("tensorboard") is None:
         raise ConfigurationError("curves need the package tensorboard: pip install 'mixo-env[tensorboard]'")
+
+
+def check_watched(rows: Sequence[str]) -> None:
+    """See that there will be curves of some of these rows.
+
+    Raises:
+        ConfigurationError: without TensorBoard, or when Stable-Baselines3 trains none of them.
+    """
+    require_tensorboard()
+    if PPO.name not in rows:
+        raise ConfigurationError(f"curves: none of {', '.join(rows)} is trained by Stable-Baselines3: name {PPO.name}")
 
 
 class Curves(BaseCallback):
