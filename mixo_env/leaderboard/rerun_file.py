@@ -101,17 +101,22 @@ def _opened(drive: OneDrive, rig: Rig | None) -> tuple[Any, Any]:
     pictures = [views.Spatial2DView(origin=f"world/rig/{camera}", name=camera) for camera in cameras]
     left = [views.Spatial3DView(origin="world", name="ways from above")]
     left += [views.Grid(*pictures, grid_columns=2)] if pictures else []
-    curves = [
+    tabs: list[Any] = [
         views.TimeSeriesView(origin=_path("weights", way.name), name=f"weights of {way.name}")
         for way in drive.ways
         if way.experts
     ]
-    names = {"error_m": "distance from the truth [m]", "matches": "matches", "lost": "lost cameras"}
-    curves += [views.TimeSeriesView(origin=origin, name=name) for origin, name in names.items()]
-    about = views.TextDocumentView(origin="about", name="about")
-    layout = views.Horizontal(views.Vertical(*left), views.Vertical(*curves, about), column_shares=[3, 2])
-    time_panel = views.TimePanel(timeline=TIMELINE)
-    return rerun.RecordingStream("mixo_env"), views.Blueprint(layout, time_panel, collapse_panels=True)
+    tabs.append(views.TextDocumentView(origin="about", name="about"))
+    plain = views.PlotLegend(visible=False)  # cameras have the colours that they have among the rows
+    curves = [
+        views.TimeSeriesView(origin="error_m", name="distance from the truth [m]"),
+        views.TimeSeriesView(origin="matches", name="matches", plot_legend=plain),
+        views.TimeSeriesView(origin="lost", name="lost cameras", plot_legend=plain),
+    ]
+    right = views.Vertical(views.Tabs(*tabs), *curves, row_shares=[3, 3, 2, 1])
+    layout = views.Horizontal(views.Vertical(*left), right, column_shares=[3, 2])
+    panels = views.TimePanel(timeline=TIMELINE, state="collapsed"), views.SelectionPanel(state="collapsed")
+    return rerun.RecordingStream("mixo_env"), views.Blueprint(layout, *panels)
 
 
 def _log(recording: Any, drive: OneDrive, rig: Rig | None, progress: Callable[[int, int], None]) -> None:
@@ -140,7 +145,8 @@ def _log_way(recording: Any, drive: OneDrive, way: OneWay, parts: tuple[str, ...
 
     places = places_m(drive, way)
     radius = -3.0 if way is drive.truth else -1.5  # below 0: points of the screen
-    line = rerun.LineStrips3D([places], colors=[_rgb(colour)], radii=[radius])
+    below = [0.0, 0.0, -0.05 if way is drive.truth else 0.0]  # the wide line of the truth must not hide the others
+    line = rerun.LineStrips3D([places + below], colors=[_rgb(colour)], radii=[radius])
     recording.log(_path(*parts), line, static=True)
     label = rerun.Points3D.from_fields(colors=[_rgb(colour)], radii=[DOT], labels=[way.name], show_labels=False)
     recording.log(_path(*parts, "now"), label, static=True)
