@@ -115,7 +115,8 @@ def _opened(drive: OneDrive, rig: Rig | None) -> tuple[Any, Any]:
     ]
     right = views.Vertical(views.Tabs(*tabs), *curves, row_shares=[3, 3, 2, 1])
     layout = views.Horizontal(views.Vertical(*left), right, column_shares=[3, 2])
-    panels = views.TimePanel(timeline=TIMELINE, state="collapsed"), views.SelectionPanel(state="collapsed")
+    shut = (kind(state="collapsed") for kind in (views.SelectionPanel, views.BlueprintPanel))
+    panels = views.TimePanel(timeline=TIMELINE, state="collapsed"), *shut
     return rerun.RecordingStream("mixo_env"), views.Blueprint(layout, *panels)
 
 
@@ -204,7 +205,9 @@ def _log_rig(recording: Any, drive: OneDrive, rig: Rig, progress: Callable[[int,
             recording.set_time(TIMELINE, duration=float(drive.time_s[look.row]))
             recording.log(path, rerun.EncodedImage(contents=look.jpeg, media_type="image/jpeg"))
             few = look.matches[:: max(1, -(-len(look.matches) // MOST_LINES))]
-            recording.log(_path("world", "rig", camera, "matches"), rerun.LineStrips2D(few, colors=[(40, 220, 90)]))
+            recording.log(
+                _path("world", "rig", camera, "matches"), rerun.LineStrips2D(few, colors=[(40, 220, 90)], radii=[-0.7])
+            )
         recording.reset_time()
 
 
