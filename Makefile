@@ -76,7 +76,7 @@ format: .venv/installed
 	touch $@
 
 .venv/integrations: .venv/installed
-	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev,cluster,integrations,torchrl,learned,browser]'
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev,cluster,integrations,torchrl,learned,browser,view,tensorboard]'
 	touch $@
 
 clean:  ## everything made here, machine code kept between runs included

@@ -21,6 +21,7 @@ IN_A_TEMPORARY_FOLDER = {
     "experiments/peers/orbslam3_api.py": "answers into the temporary folder of orbslam3_client, without this package",
     "experiments/peers/orbslam3_client.py": "hands images to another process in a temporary folder",
     "experiments/speed/loading.py": "streams hundreds of megabytes of tables into a temporary folder",
+    "mixo_env/leaderboard/film.py": "OpenCV tells the container by suffix; then the film is written at once",
 }
 """Files that write directly, and why they may."""
 

@@ -40,10 +40,12 @@ def commands() -> dict[str, type]:
     from mixo_env.cli.simulate import Simulate
     from mixo_env.cli.train import Train
     from mixo_env.cli.train_vocabulary import TrainVocabulary
+    from mixo_env.cli.view import View
 
     return {
         "benchmark": Benchmark,
         "report": Report,
+        "view": View,
         "score": Score,
         "train": Train,
         "search": Search,

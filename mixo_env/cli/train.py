@@ -17,6 +17,7 @@ class Train:
 
       mixo train TOKEN --out weights                    weights/TOKEN/VISION/fold-0-seed-0 ...; folds by log
       mixo train --all --out weights                    every row that learns, every track
+      mixo train PPO --tensorboard curves               ATE and RTE on the held-out fold while it learns
       mixo benchmark --weights weights                  the same table, without fitting what is there
       mixo score weights/TOKEN/VISION/fold-0-seed-0 --recordings other-city
     """
@@ -44,6 +45,9 @@ class Train:
     out: Path = Path("weights")
     """Folder for the weights."""
 
+    tensorboard: Path | None = None
+    """Folder for curves of what Stable-Baselines3 trains; shown by `tensorboard --logdir`. None: no curves."""
+
     def run(self) -> int:
         """Fit what is not there yet."""
         from mixo_env.cli.progress import progress
@@ -57,7 +61,13 @@ class Train:
             raise ConfigurationError("expected names of rows, or --all, not both: `mixo train TOKEN`")
         recordings = load_recordings(None if self.recordings is None else str(self.recordings))
         rows = requested(recordings, self.tracks, self.names)
-        division = CrossValidation(recordings, Trial(self.seed, self.seeds, weights=writable_folder(self.out)))
+        if self.tensorboard is not None:
+            from mixo_env.leaderboard.curves import check_watched
+
+            check_watched(rows)
+        curves = self.tensorboard and writable_folder(self.tensorboard)
+        trial = Trial(self.seed, self.seeds, weights=writable_folder(self.out), curves=curves)
+        division = CrossValidation(recordings, trial)
         pieces = division.pieces(rows, self.tracks or recordings.distinct_tracks)
         if not pieces:
             raise ConfigurationError(f"{', '.join(rows)}: nothing to fit: name a row that learns")

@@ -7,13 +7,15 @@ every camera over the scene.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mixo_env.envs.session import Session
+from mixo_env.envs.images import SceneImages
+from mixo_env.envs.replay import Replay
 from mixo_env.experts.expert import State
+from mixo_env.recordings.collection import Recordings
 
 Image = NDArray[np.uint8]
 Colour = tuple[int, int, int]
@@ -38,7 +40,31 @@ STATES: dict[int, Colour] = {
 }
 
 
-def describe(session: Session, entry: int) -> str:
+class Scenery(Protocol):
+    """What a picture is drawn of: a session, or a policy that is played without an environment."""
+
+    @property
+    def recordings(self) -> Recordings:
+        """The scenes."""
+        ...
+
+    @property
+    def replay(self) -> Replay:
+        """Where the batch stands in them."""
+        ...
+
+    @property
+    def weights(self) -> NDArray[np.float64]:
+        """``(batch, experts)`` of the last step."""
+        ...
+
+    @property
+    def images(self) -> SceneImages | None:
+        """Of the cameras, where they are at hand."""
+        ...
+
+
+def describe(session: Scenery, entry: int) -> str:
     """One line about a batch entry: ``render_mode="ansi"``."""
     replay, state = session.replay, session.replay.state[entry]
     scene = session.recordings.scenes[state["scene"]].name
@@ -51,7 +77,7 @@ def describe(session: Session, entry: int) -> str:
     )
 
 
-def draw(session: Session, entry: int) -> Image:
+def draw(session: Scenery, entry: int) -> Image:
     """A frame ``(540, 960, 3)`` RGB of a batch entry: ``render_mode="rgb_array"``."""
     canvas = np.full((HEIGHT, WIDTH, 3), 255, np.uint8)
     draw_map(canvas, session, entry)
@@ -61,7 +87,7 @@ def draw(session: Session, entry: int) -> Image:
     return canvas
 
 
-def draw_map(canvas: Image, session: Session, entry: int) -> None:
+def draw_map(canvas: Image, session: Scenery, entry: int) -> None:
     """Truth and estimate from above."""
     import cv2
 
@@ -117,20 +143,20 @@ def draw_map(canvas: Image, session: Session, entry: int) -> None:
     write(canvas, f"step {done}/{replay.steps[state['scene']]}   error: {error}", (left + 12, top + 42))
 
 
-def yaw_error(session: Session, entry: int) -> float:
+def yaw_error(session: Scenery, entry: int) -> float:
     """Fused minus true yaw [rad] of a batch entry."""
     state = session.replay.state[entry]
     _, _, yaw = session.replay.true_trajectory(int(state["scene"]))
     return float(state["yaw_rad"] - (yaw[int(state["step"])] - yaw[0]))
 
 
-def camera_states(session: Session, scene: int) -> NDArray[np.int8]:
+def camera_states(session: Scenery, scene: int) -> NDArray[np.int8]:
     """State ``(rows, cameras)`` of every camera over a scene."""
     rows = session.recordings.rows(scene)
     return np.stack([rows[f"{camera}.state"] for camera in session.replay.cameras] or [rows["step"][:0]], axis=-1)
 
 
-def draw_tiles(canvas: Image, session: Session, entry: int) -> None:
+def draw_tiles(canvas: Image, session: Scenery, entry: int) -> None:
     """Camera images where they are at hand, else what the cameras report."""
     import cv2
 
@@ -154,7 +180,7 @@ def draw_tiles(canvas: Image, session: Session, entry: int) -> None:
         cv2.rectangle(canvas, (x, y), (x + width - 7, y + height - 1), colour, 2)
 
 
-def draw_weights(canvas: Image, session: Session, entry: int) -> None:
+def draw_weights(canvas: Image, session: Scenery, entry: int) -> None:
     """A bar for every expert's weight in the last step."""
     import cv2
 
@@ -171,7 +197,7 @@ def draw_weights(canvas: Image, session: Session, entry: int) -> None:
     cv2.line(canvas, (zero, top - 4), (zero, top + len(experts) * pitch), INK, 1)
 
 
-def draw_states(canvas: Image, session: Session, entry: int) -> None:
+def draw_states(canvas: Image, session: Scenery, entry: int) -> None:
     """A strip per camera: its state over the whole scene, and where we are."""
     import cv2
 

@@ -42,6 +42,7 @@ class Trial:
         ground_truth: the clock.
         outside: further policies, name -> class, or one that is played as it is.
         weights: folder written by ``mixo train``: what it holds is not fitted again. ``None``: everything is fitted.
+        curves: folder for TensorBoard of rows that Stable-Baselines3 trains, on the held-out fold; ``None``: none.
 
     Raises:
         ConfigurationError: for no seed at all, or weights that are no folder.
@@ -52,6 +53,7 @@ class Trial:
     ground_truth: GroundTruth = "poses"
     outside: Mapping[str, type[Policy] | Policy] = field(default_factory=dict)
     weights: Path | None = None
+    curves: Path | None = None
 
     def __post_init__(self) -> None:
         """Look at the number of seeds and at the folder."""
@@ -260,11 +262,15 @@ class CrossValidation:
             OutputError: when it cannot be written.
         """
         policy, training, seed = self._create(name), self.training(fold), self._seed_of(fold, repetition)
+        part = Path(name) / track / f"fold-{fold}-seed-{repetition}"
+        if self.trial.curves is not None:
+            from mixo_env.leaderboard.curves import watch
+
+            watch(policy, self.trial.curves / part, self.recordings.select(folds=[fold]), track)
         if self.trial.weights is None or name in self.trial.outside:
             prepare(policy, training, track, seed=seed)
             return policy
-        piece = self.trial.weights / name / track / f"fold-{fold}-seed-{repetition}"
-        return fit_or_take(policy, training, track, seed, piece, keep=keep)
+        return fit_or_take(policy, training, track, seed, self.trial.weights / part, keep=keep)
 
     def pieces(self, names: Sequence[str], tracks: Sequence[str]) -> tuple[tuple[str, str, int, int], ...]:
         """Name, track, fold and repetition of all that is fitted for these rows; an expensive one on the last fold.

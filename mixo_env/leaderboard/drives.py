@@ -14,8 +14,8 @@ from mixo_env.experts.expert import State
 from mixo_env.geometry import FloatArray
 from mixo_env.leaderboard.board import Leaderboard, Standings
 from mixo_env.leaderboard.conditions import condition_of
+from mixo_env.leaderboard.crossvalidation import Run
 from mixo_env.leaderboard.evaluation import poses
-from mixo_env.leaderboard.rows import Row
 from mixo_env.policies.playing import play
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.variants import as_variant
@@ -67,7 +67,7 @@ def _track(
     once = {row.name: row for row in (*standings.one_fold_rows, *standings.rows)}
     for row in once.values():
         way = poses(row.run.travel, truth.poses, truth.offsets)
-        experts, weights = _weights(row, chosen, standings.track)
+        experts, weights = weights_of(row.run, chosen, standings.track) if row.fused else ((), {})
         found[row.name] = {
             "experts": list(experts),
             "scenes": [
@@ -84,14 +84,17 @@ def _track(
     return found
 
 
-def _weights(row: Row, chosen: Recordings, track: str) -> tuple[Sequence[str], dict[int, FloatArray]]:
-    """Experts, and scene -> ``(steps, experts)`` weights that a fused row gave them, played again; none for others."""
+def weights_of(run: Run, chosen: Recordings, track: str) -> tuple[Sequence[str], dict[int, FloatArray]]:
+    """Experts, and scene of ``chosen`` -> ``(steps, experts)`` weights that a row gave them, played again.
+
+    None for a privileged row, and for a scene of ``chosen`` on which it was not tested.
+    """
     found: dict[int, FloatArray] = {}
     experts: Sequence[str] = ()
-    if not row.fused or row.run.privileged:
+    if run.privileged:
         return experts, found
-    recordings = as_variant(chosen, row.name)
-    for fold, policy in row.run.policies.items():
+    recordings = as_variant(chosen, run.name)
+    for fold, policy in run.policies.items():
         here = [k for k, scene in enumerate(recordings.scenes) if fold < 0 or scene.fold == fold]
         if not here:
             continue

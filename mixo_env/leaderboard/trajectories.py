@@ -111,22 +111,51 @@ def ways(
         ConfigurationError: for an unknown track or fold.
         PolicyError: when a policy does not fit the recordings.
     """
-    voters = recordings.voters(track)
-    outside = {policy.name: policy.kind for policy in policies if not policy.builtin}
-    protocol = CrossValidation(recordings, Trial(seed, outside=outside), tested_folds=folds)
-    for kind in outside.values():
-        if isinstance(kind, Frozen):  # before anything is written
-            kind.start(voters)
-            check(kind, protocol.recordings, track)
+    protocol = divided(recordings, track, policies, folds=folds, seed=seed)
     truth = Truth(protocol.recordings, protocol.truths[0])
     everywhere = np.ones(len(protocol.recordings), np.bool_)
     yield from _scenes(GROUNDTRUTH, truth.poses, everywhere, protocol.recordings)
+    for run in runs(protocol, track, policies, progress):
+        yield from _scenes(run.name, poses(run.travel, truth.poses, truth.offsets), run.tested, protocol.recordings)
+
+
+def divided(
+    recordings: Recordings,
+    track: str,
+    policies: Sequence[Outside],
+    *,
+    folds: Sequence[int] = (),
+    seed: int = 0,
+    out_of_distribution: bool = False,
+) -> CrossValidation:
+    """Training and test scenes for :func:`runs`; what does not fit is said before anything is played.
+
+    Raises:
+        ConfigurationError: for an unknown track or fold.
+        PolicyError: when a frozen policy does not fit the recordings.
+    """
+    voters = recordings.voters(track)
+    outside = {policy.name: policy.kind for policy in policies if not policy.builtin}
+    protocol = CrossValidation(
+        recordings, Trial(seed, outside=outside), out_of_distribution=out_of_distribution, tested_folds=folds
+    )
+    for kind in outside.values():
+        if isinstance(kind, Frozen):
+            kind.start(voters)
+            check(kind, protocol.recordings, track)
+    return protocol
+
+
+def runs(
+    protocol: CrossValidation, track: str, policies: Sequence[Outside], progress: Callable[[str], None]
+) -> Iterator[Run]:
+    """Every expert alone, then policies; an expensive one on the last of the tested folds."""
+    recordings = protocol.recordings
     for name in dict.fromkeys(
         (*shown_in(recordings, track, recordings.experts), *(policy.name for policy in policies))
     ):
         progress(name)
-        run: Run = protocol.run(name, track, folds=protocol.tested_folds[-1:] if protocol.expensive(name) else None)
-        yield from _scenes(name, poses(run.travel, truth.poses, truth.offsets), run.tested, protocol.recordings)
+        yield protocol.run(name, track, folds=protocol.tested_folds[-1:] if protocol.expensive(name) else None)
 
 
 def write_way(folder: Path, way: Way, form: Format) -> Path:

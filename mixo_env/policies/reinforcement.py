@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from itertools import pairwise
 from typing import Any
 
@@ -35,6 +35,8 @@ class PPO(Policy):
     name = "PPO"
     learns = True
     expensive = True
+    watch: Callable[[Standardise], Any] | None = None
+    """Makes a callback of Stable-Baselines3 that looks on, of how observations are standardised."""
 
     def __init__(
         self,
@@ -87,7 +89,7 @@ class PPO(Policy):
                 seed=seed,
                 device="cpu",
             )
-            model.learn(self.steps)
+            model.learn(self.steps, callback=self.watch and self.watch(self._standardise))
         self._layers = actor_layers(model.policy)
 
     def act(self, observation: Observation) -> Weights:
