@@ -24,15 +24,16 @@ from mixo_env.experts.joint.solve import BODY, OWN, Solved
 from mixo_env.experts.monocular.camera import MountedCamera
 
 _MOVING_M = 0.3  # the median point of any camera moves by pixels then
+_ROLLING_M = 0.01  # the car does not stand; pictures that are then equal to the last bit are one and the same
 _THIN = 3  # every third match is enough for the increment without memory
 _FEWEST = 8  # matches in the estimate of a camera that has a say: its six unknowns, and two more
 
 
 def _stands(seen: Sight) -> bool:
     """Nothing moves in the pictures although the car does: they are old, or show dirt on the lens."""
-    if abs(seen.distance_m) <= _MOVING_M:
+    if abs(seen.distance_m) <= _ROLLING_M:
         return False
-    still = np.abs(seen.second - seen.first) < seen.noise
+    still = np.abs(seen.second - seen.first) <= (seen.noise if abs(seen.distance_m) > _MOVING_M else 0.0)
     return 2 * np.count_nonzero(still[:, 0] & still[:, 1]) > len(still)
 
 
@@ -58,6 +59,7 @@ class JointOdometry:
         self._cameras = dict(cameras)
         self._mountings = Mountings(cameras, self.config)
         self._rates = Rates()
+        self._doubted: frozenset[str] = frozenset()
         self._times_us: tuple[int, int] | None = None
         self._state = State.INITIALISING
         self._good_steps = 0
@@ -86,11 +88,12 @@ class JointOdometry:
             return self._report(None, {}, math.nan)
         moment = Moment((-opening_s, 0.0, gap_s), last_us, used)
         layout = lay_out(self._cameras, moment)
-        alone = Problem(self.config, moment, layout, Rates(), Mountings(used, self.config), _THIN).answer()
+        alone = Problem(self.config, moment, layout, Rates(), Mountings(used, self.config), every=_THIN).answer()
         two_frame = alone.yaw_rad if self._good(alone) else math.nan
-        problem = Problem(self.config, moment, layout, self._rates, self._mountings)
+        problem = Problem(self.config, moment, layout, self._rates, self._mountings, self._doubted)
         answer = problem.answer()
-        if accused := problem.accused(answer.solved):
+        self._doubted = accused = problem.accused(answer.solved)
+        if accused:
             self._learn_mountings(problem, answer.solved, accused)
             rest = [j for j, name in enumerate(used) if name not in accused]
             moment = replace(moment, used={name: seen for name, seen in used.items() if name not in accused})

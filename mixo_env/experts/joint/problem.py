@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Collection
 from typing import NamedTuple
 
 import numpy as np
@@ -41,6 +42,9 @@ _CONTRADICTION_STD = 3.0
 _DOUBT_STD = 2.0
 """The same where the turn is none that was expected: then the solution itself is in doubt."""
 
+_DOUBT = 10.0
+"""A camera that contradicted the last step may err by so many times as much: it must not take the rig along in this."""
+
 
 class Answer(NamedTuple):
     """A solution and what it says about the step.
@@ -65,11 +69,19 @@ class Problem:
         layout: of its cameras.
         rates: what is known of the yaw rate; nothing: the pairs alone say where to start.
         mountings: what is known of the mountings.
+        doubted: cameras that contradicted the last step.
         every: only every so manieth match: one third is enough for an estimate without memory, at a third of the cost.
     """
 
     def __init__(
-        self, config: JointConfig, moment: Moment, layout: Layout, rates: Rates, mountings: Mountings, every: int = 1
+        self,
+        config: JointConfig,
+        moment: Moment,
+        layout: Layout,
+        rates: Rates,
+        mountings: Mountings,
+        doubted: Collection[str] = (),
+        every: int = 1,
     ) -> None:
         self.moment, self._config, self._rates, self._layout = moment, config, rates, layout
         self._own = (config.own_yaw_std_rad, config.own_yaw_share, config.freedom)
@@ -82,7 +94,8 @@ class Problem:
         first = [seen.first[::every] for seen in moment.used.values()]
         second = [seen.second[::every] for seen in moment.used.values()]
         start = np.cumsum([0, *map(len, first)])
-        self.views = Views(np.concatenate(first), np.concatenate(second), start, *layout[:5], alone)
+        doubt = np.array([_DOUBT if name in doubted else 1.0 for name in moment.used])
+        self.views = Views(np.concatenate(first), np.concatenate(second), start, *layout[:5], alone, doubt)
 
     def _expect_rates(self) -> FloatArray:
         """Fill in the expected yaw rates; returns the information on them ``(3, 3)``."""

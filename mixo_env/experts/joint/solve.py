@@ -51,6 +51,7 @@ class Views(NamedTuple):
         noise: ``(m,)`` expected position noise.
         local: ``(m, 6, BODY + OWN)`` its six unknowns from those of the body and its own.
         alone: ``(m, 6)`` information on each of the six when the camera is alone.
+        doubt: ``(m,)`` the expected yaw error of its own is so many times as large as usual.
     """
 
     first: FloatArray
@@ -62,6 +63,7 @@ class Views(NamedTuple):
     noise: FloatArray
     local: FloatArray
     alone: FloatArray
+    doubt: FloatArray
 
 
 class Solved(NamedTuple):
@@ -165,7 +167,7 @@ def solve_step(
             _add(h, g, at, views.local[j], scale, equations)
             if iteration >= _SETTLED:
                 formal[j] = _alone(equations.h, scale, views.alone[j])
-            std = math.hypot(own[0], own[1] * formal[j])
+            std = views.doubt[j] * math.hypot(own[0], own[1] * formal[j])
             weight = (own[2] + 1.0) / (own[2] + (x[at] / std) ** 2) / std**2
             h[at, at] += weight
             g[at] += weight * x[at]
