@@ -25,6 +25,7 @@ from mixo_env.experts.monocular.camera import MountedCamera
 
 _MOVING_M = 0.3  # the median point of any camera moves by pixels then
 _ROLLING_M = 0.01  # the car does not stand; pictures that are then equal to the last bit are one and the same
+_DOUBTED_STEPS = 12  # after a camera's last contradiction, one second
 _THIN = 3  # every third match is enough for the increment without memory
 _FEWEST = 8  # matches in the estimate of a camera that has a say: its six unknowns, and two more
 
@@ -59,7 +60,7 @@ class JointOdometry:
         self._cameras = dict(cameras)
         self._mountings = Mountings(cameras, self.config)
         self._rates = Rates()
-        self._doubted: frozenset[str] = frozenset()
+        self._doubted: dict[str, int] = {}  # for so many steps yet
         self._times_us: tuple[int, int] | None = None
         self._state = State.INITIALISING
         self._good_steps = 0
@@ -92,7 +93,9 @@ class JointOdometry:
         two_frame = alone.yaw_rad if self._good(alone) else math.nan
         problem = Problem(self.config, moment, layout, self._rates, self._mountings, self._doubted)
         answer = problem.answer()
-        self._doubted = accused = problem.accused(answer.solved)
+        accused = problem.accused(answer.solved)
+        left = {name: steps - 1 for name, steps in self._doubted.items() if steps > 1}
+        self._doubted = left | dict.fromkeys(accused, _DOUBTED_STEPS)
         if accused:
             self._learn_mountings(problem, answer.solved, accused)
             rest = [j for j, name in enumerate(used) if name not in accused]
