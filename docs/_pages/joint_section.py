@@ -10,9 +10,9 @@ slip and heave. Each camera has an offset of its mounting, learnt slowly, and a 
 (Student-t, three degrees of freedom) whose width follows from what its matches know. A tilt of the body swings the
 cameras too. What three images of a camera say about the change of its turn enters beside the pairs. A camera that
 contradicts the others has no say in that step, and for a second may err ten times as much: it is heard again as soon
-as it agrees, but cannot take the rig along. A picture that stands still while the car drives has no say either; one whose
-learnt offset stays beyond a degree is misplaced: named, and left out from then on. No gyro and no pose enters. JOINT is
-a row of the leaderboard where it was recorded; it never votes and enters no oracle.
+as it agrees, but cannot take the rig along. A picture that stands still while the car drives has no say either; a
+camera whose learnt offset stays beyond a degree is misplaced: named, and left out from then on. No gyro and no pose
+enters. JOINT is a row of the leaderboard where it was recorded; it never votes and enters no oracle.
 
 At the end of each step the increment of the rig leans half of the way towards what the cameras' own odometries have
 reported for their windows (`headings.py`: Student-t, by their standard deviations). So JOINT is no purely tight
