@@ -192,6 +192,22 @@ def test_variance_of_increments_is_that_of_the_errors():
     np.testing.assert_allclose(predicted[1:], empirical, rtol=0.2)
 
 
+def test_stated_deviations_follow_how_well_the_filter_predicts():
+    """Where R is the paper's a calm drive is surer than a swerving one, and what came later changes nothing."""
+    asked = START_US + np.arange(2_000_000, 9_000_000, 83_333)
+    variance = {}
+    for name, swing in (("calm", 0.0), ("swerving", 0.5)):
+        can_bus = drive(lambda t: 6.0, lambda t, swing=swing: swing * np.sin(3.0 * t))
+        for grade in GRADES:
+            variance[name, grade] = np.diff(InertialOdometry(can_bus, grade).at(asked).yaw_variance_rad2)
+            late = InertialOdometry(wiggle(can_bus, int(asked[40])), grade).at(asked[:41])
+            np.testing.assert_array_equal(np.diff(late.yaw_variance_rad2), variance[name, grade][:40])
+    for grade in ("INERTIAL", "INERTIAL_POSE"):
+        assert np.all(variance["swerving", grade] > 30.0 * variance["calm", grade])
+        assert np.all(variance["calm", grade][30:] > 0.0)
+    np.testing.assert_array_equal(variance["swerving", "INERTIAL_CONSUMER"], variance["calm", "INERTIAL_CONSUMER"])
+
+
 def test_unknown_start_of_a_slow_gyro():
     """Until the first vehicle_monitor message yaw stands still, as uncertain as a measurement of its rate."""
     can_bus = drive(lambda t: 6.0, lambda t: 0.3)

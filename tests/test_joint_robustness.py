@@ -10,6 +10,7 @@ import pytest
 
 from mixo_env.experts.expert import State
 from mixo_env.experts.joint.headings import lean
+from mixo_env.experts.joint.layout import Layout, Moment, lay_out
 from mixo_env.experts.joint.odometry import JointOdometry
 from mixo_env.experts.joint.sight import Change, Sight, Told
 from mixo_env.experts.monocular.motion import MotionPrior, estimate_motion
@@ -137,6 +138,44 @@ def test_a_sure_camera_that_is_captured_is_outvoted_by_the_others() -> None:
     said, error = play(rig(PAPER), iter(steps))
     assert abs(np.rad2deg(np.nansum(error))) < 0.1
     assert all("back" not in step.outlier_share for step in said[21:33])
+
+
+def test_a_camera_that_has_contradicted_the_rig_is_doubted_for_a_second() -> None:
+    """A vehicle is caught turning by .23 deg a step; slowing down to .07, which alone would pass, it stays caught."""
+    rng = np.random.default_rng(27)
+    steps = []
+    for k, (time_us, sights, yaw) in enumerate(drive(27, PAPER, 44, speed=0.3, rate_deg=0.0, movers=False)):
+        if k > 20:
+            seen, lie = sights["back"], 0.004 if k <= 26 else 0.0012
+            motion = (yaw + lie, seen.distance_m, 0.0, 0.0)
+            times_us = seen.start_us, seen.end_us
+            sights["back"] = look(rng, "back", times_us, motion, points=600, outliers=0.0, movers=False)
+        steps.append((time_us, sights, yaw))
+    said, error = play(rig(PAPER), iter(steps))
+    assert abs(np.rad2deg(np.nansum(error))) < 0.1
+    assert np.mean(["back" in step.outlier_share for step in said[21:]]) < 0.25
+
+
+@pytest.mark.parametrize(("speed", "heard"), [(3.0, False), (0.5, False), (0.0, True)])
+def test_a_picture_that_repeats_itself_has_no_say_unless_the_car_stands(speed: float, heard: bool) -> None:
+    steps = list(drive(28, PAPER, 6, speed=speed, rate_deg=0.0))
+    for _, sights, _ in steps[1:]:
+        sights["back"] = replace(sights["back"], second=sights["back"].first.copy())
+    said, _ = play(rig(PAPER), iter(steps))
+    assert ("back" in said[-1].outlier_share) is heard
+    assert "front" in said[-1].outlier_share
+
+
+def test_the_layout_of_some_cameras_is_that_of_them_alone() -> None:
+    time_us, sights, _ = list(drive(29, PAPER, 3))[-1]
+    some = PAPER[1], PAPER[3]
+
+    def laid_out(names: tuple[str, ...]) -> Layout:
+        used = {name: sights[name] for name in names}
+        return lay_out(rig(PAPER), Moment((-0.083, 0.0, 0.083), time_us - STEP_US, used))
+
+    for part, alone in zip(laid_out(PAPER).of([1, 3]), laid_out(some), strict=True):
+        np.testing.assert_array_equal(part, alone)
 
 
 def test_the_rig_meets_cameras_that_agree_half_way_and_hardly_hears_one_that_is_captured() -> None:

@@ -32,8 +32,21 @@ WHEEL_RADIUS_M = 0.305
 SPEED_VARIANCE = 0.1
 """First entry of the paper's R, in m^2/s^2."""
 
-YAW_RATE_VARIANCE = {"INERTIAL": 0.01, "INERTIAL_POSE": 0.01, "INERTIAL_CONSUMER": 1e-4}
-"""Second entry of the paper's R, in rad^2/s^2, and the variance of the consumer sensors, which the paper did not have.
+PAPER_YAW_RATE_VARIANCE = 0.01
+"""Second entry of the paper's R, in rad^2/s^2."""
+
+SURPRISE_S = 1.0
+"""Time constant of the mean of squared innovations that scales the variances where R is the paper's."""
+
+LEAST_SURPRISE = 0.05**2
+"""That mean counts as no less: no innovation shows a constant bias, and 0.1 deg/s are a twentieth of the paper's R."""
+
+YAW_RATE_VARIANCE = {
+    "INERTIAL": PAPER_YAW_RATE_VARIANCE,
+    "INERTIAL_POSE": PAPER_YAW_RATE_VARIANCE,
+    "INERTIAL_CONSUMER": 1e-4,
+}
+"""The same, and the variance of the consumer sensors, which the paper did not have.
 
 0.01 is far above the noise of the real gyro; at 100 Hz that costs nothing, since the yaw estimate still adds up the
 measured rates. At the 2 Hz of ``vehicle_monitor`` it would make the filter ignore its sensor in turns, so that grade
@@ -83,6 +96,8 @@ class InertialEstimate:
         yaw_rad: anticlockwise positive, not wrapped.
         yaw_rate_radps: its rate.
         yaw_variance_rad2: sum of the variances of the yaw increments between consecutive times given; it never shrinks.
+            Where R is the paper's they are those of the filter times the running mean of its squared innovations over
+            what it expects: R is far above the noise of the sensor, and turns are where the filter lags.
     """
 
     distance_m: FloatArray
@@ -126,6 +141,8 @@ class InertialOdometry:
         noise = process_noise or ProcessNoise()
         self._distance = RateFilter.run(speed, SPEED_VARIANCE, noise.acceleration)
         self._yaw = RateFilter.run(yaw_rate, YAW_RATE_VARIANCE[grade], noise.yaw_acceleration)
+        overstates = YAW_RATE_VARIANCE[grade] == PAPER_YAW_RATE_VARIANCE
+        self._surprise = self._yaw.surprise(yaw_rate, SURPRISE_S) if overstates else np.ones(len(yaw_rate.value))
 
     def at(self, timestamps_us: IntArray) -> InertialEstimate:
         """Evaluate at ascending times.
@@ -149,8 +166,13 @@ class InertialOdometry:
         knows_start = bool(self._yaw.time_us[0] - first_us <= SAME_START_S * 1e6)
         distance_m, speed_mps = self._distance.at(time)
         yaw_rad, yaw_rate_radps = self._yaw.at(time, knows_start)
-        yaw_variance_rad2 = np.cumsum(self._yaw.increment_variance(time, knows_start))
-        return InertialEstimate(distance_m, speed_mps, yaw_rad, yaw_rate_radps, yaw_variance_rad2)
+        variance = self._yaw.increment_variance(time, knows_start) * self._scale(time)
+        return InertialEstimate(distance_m, speed_mps, yaw_rad, yaw_rate_radps, np.cumsum(variance))
+
+    def _scale(self, time_us: IntArray) -> FloatArray:
+        """``(n,)`` what past messages say about the variances assumed; 1 before the first."""
+        last = np.searchsorted(self._yaw.time_us, time_us, side="right") - 1
+        return np.where(last >= 0, np.maximum(self._surprise[np.maximum(last, 0)], LEAST_SURPRISE), 1.0)
 
 
 def standstill_bias(rate: Signal, wheel_speed_radps: Signal) -> FloatArray:

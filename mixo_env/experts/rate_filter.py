@@ -87,6 +87,23 @@ class RateFilter:
             before = here
         return variance
 
+    def surprise(self, rate: Signal, memory_s: float) -> FloatArray:
+        """How large innovations are, squared over the variance that the filter expects: ``(n,)`` after each message.
+
+        A running mean that begins at 1. Were all its variances so many times as large, the filter would say the same.
+
+        Args:
+            rate: what was filtered.
+            memory_s: time constant of the mean.
+        """
+        elapsed = 1e-6 * np.diff(self.time_us)
+        expected = self.covariance[:-1, 1, 1] + self.noise_density * elapsed + self.measurement_variance
+        square = (rate.value[1:] - self.state[:-1, 1]) ** 2 / expected
+        mean = np.ones(len(self.time_us))
+        for k, keep in enumerate(np.exp(-elapsed / memory_s)):
+            mean[k + 1] = keep * mean[k] + (1.0 - keep) * square[k]
+        return mean
+
     def _last_message(self, time_us: IntArray) -> tuple[IntArray, FloatArray]:
         """Number of the last message that had arrived (-1: none), and seconds since then (or until the first)."""
         last = np.searchsorted(self.time_us, time_us, side="right") - 1

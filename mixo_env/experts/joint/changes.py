@@ -13,6 +13,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mixo_env.compiled import compiled
+
 FloatArray = NDArray[np.float64]
 
 _WIDENINGS = (8.0, 4.0, 2.0, 1.0, 1.0, 1.0)
@@ -33,25 +35,29 @@ class Changes(NamedTuple):
     std_rad: FloatArray
 
 
+@compiled
 def with_changes(
-    mean: FloatArray, covariance: FloatArray, changes: Changes, freedom: float
+    mean: FloatArray, information: FloatArray, changes: Changes, freedom: float
 ) -> tuple[FloatArray, FloatArray]:
-    """Three rates and their covariance once changes are known.
+    """Three rates and the information on them once changes are known.
 
     Args:
         mean: ``(3,)`` expected rates.
-        covariance: ``(3, 3)`` of them.
+        information: ``(3, 3)`` on them.
         changes: any number; none leaves everything as it is.
         freedom: of the Student-t distribution of their errors.
     """
+    rates, total = mean.copy(), information.copy()
     if not len(changes.yaw_rad):
-        return mean, covariance
-    rates, information = mean, np.linalg.inv(covariance)
-    total = information
+        return rates, total
     for wide in _WIDENINGS:
-        std = wide * changes.std_rad
-        error = (changes.yaw_rad - changes.weights @ rates) / std
-        weighted = changes.weights.T * ((freedom + 1.0) / (freedom + error**2) / std**2)
-        total = information + weighted @ changes.weights
-        rates = np.asarray(np.linalg.solve(total, information @ mean + weighted @ changes.yaw_rad), np.float64)
-    return rates, np.asarray(np.linalg.inv(total), np.float64)
+        total[:], pull = information, information @ mean
+        for i in range(len(changes.yaw_rad)):
+            weights, yaw, std = changes.weights[i], changes.yaw_rad[i], wide * changes.std_rad[i]
+            precision = (freedom + 1.0) / (freedom + ((yaw - np.sum(weights * rates)) / std) ** 2) / std**2
+            for j in range(3):
+                pull[j] += precision * yaw * weights[j]
+                for k in range(3):
+                    total[j, k] += precision * weights[j] * weights[k]
+        rates = np.linalg.solve(total, pull)
+    return rates, total

@@ -11,11 +11,14 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from mixo_env.compiled import compiled
+
 FloatArray = NDArray[np.float64]
 
 _ITERATIONS = 10
 
 
+@compiled
 def lean(deviation_rad: FloatArray, std_rad: FloatArray, freedom: float) -> tuple[float, float]:
     """Student-t mean of deviations from the rig, in which the rig has the weight of all cameras that agree with it.
 
@@ -30,10 +33,13 @@ def lean(deviation_rad: FloatArray, std_rad: FloatArray, freedom: float) -> tupl
     """
     if not len(deviation_rad):
         return 0.0, 1.0
-    precision, mean, share = std_rad**-2.0, 0.0, 1.0
-    rig = float(precision.sum())
+    rig, mean, share = float(np.sum(std_rad**-2.0)), 0.0, 1.0
     for _ in range(_ITERATIONS):
-        weight = precision * (freedom + 1.0) / (freedom + ((deviation_rad - mean) / std_rad) ** 2)
-        total = rig + float(weight.sum())
-        mean, share = float(weight @ deviation_rad) / total, rig / total
+        total, pull = rig, 0.0
+        for i in range(len(deviation_rad)):
+            deviation, std = deviation_rad[i], std_rad[i]
+            weight = (freedom + 1.0) / (freedom + ((deviation - mean) / std) ** 2) / std**2
+            total += weight
+            pull += weight * deviation
+        mean, share = pull / total, rig / total
     return mean, share

@@ -16,20 +16,26 @@ import numpy as np
 from mixo_env.errors import DatasetError, unknown
 from mixo_env.experts.expert import State
 from mixo_env.experts.joint.config import JointConfig
+from mixo_env.experts.joint.layout import Moment, lay_out
 from mixo_env.experts.joint.memory import Mountings, Rates
-from mixo_env.experts.joint.problem import REACH, Moment, Problem, thinned
+from mixo_env.experts.joint.problem import REACH, Answer, Problem
 from mixo_env.experts.joint.sight import JointStep, Sight
 from mixo_env.experts.joint.solve import BODY, OWN, Solved
 from mixo_env.experts.monocular.camera import MountedCamera
 
 _MOVING_M = 0.3  # the median point of any camera moves by pixels then
+_ROLLING_M = 0.01  # the car does not stand; pictures that are then equal to the last bit are one and the same
+_DOUBTED_STEPS = 12  # after a camera's last contradiction, one second
+_THIN = 3  # every third match is enough for the increment without memory
 _FEWEST = 8  # matches in the estimate of a camera that has a say: its six unknowns, and two more
 
 
 def _stands(seen: Sight) -> bool:
     """Nothing moves in the pictures although the car does: they are old, or show dirt on the lens."""
-    moved = np.median(np.abs(seen.second - seen.first).max(axis=1))
-    return abs(seen.distance_m) > _MOVING_M and bool(moved < seen.noise)
+    if abs(seen.distance_m) <= _ROLLING_M:
+        return False
+    still = np.abs(seen.second - seen.first) <= (seen.noise if abs(seen.distance_m) > _MOVING_M else 0.0)
+    return 2 * np.count_nonzero(still[:, 0] & still[:, 1]) > len(still)
 
 
 class JointOdometry:
@@ -54,6 +60,7 @@ class JointOdometry:
         self._cameras = dict(cameras)
         self._mountings = Mountings(cameras, self.config)
         self._rates = Rates()
+        self._doubted: dict[str, int] = {}  # for so many steps yet
         self._times_us: tuple[int, int] | None = None
         self._state = State.INITIALISING
         self._good_steps = 0
@@ -81,18 +88,21 @@ class JointOdometry:
         if not used:
             return self._report(None, {}, math.nan)
         moment = Moment((-opening_s, 0.0, gap_s), last_us, used)
-        alone = Problem(self.config, self._cameras, thinned(moment), Rates(), Mountings(used, self.config))
-        stateless = alone.solve()
-        two_frame = alone.increment(stateless)[0] if self._good(alone, stateless) else math.nan
-        problem = Problem(self.config, self._cameras, moment, self._rates, self._mountings)
-        solved = problem.solve()
-        if accused := problem.accused(solved):
-            self._learn_mountings(problem, solved, accused)
-            rest = {name: seen for name, seen in used.items() if name not in accused}
-            moment = replace(moment, used=rest)
-            problem = Problem(self.config, self._cameras, moment, self._rates, self._mountings)
-            solved = problem.solve()
-        return self._report((problem, solved), moment.used, two_frame)
+        layout = lay_out(self._cameras, moment)
+        alone = Problem(self.config, moment, layout, Rates(), Mountings(used, self.config), every=_THIN).answer()
+        two_frame = alone.yaw_rad if self._good(alone) else math.nan
+        problem = Problem(self.config, moment, layout, self._rates, self._mountings, self._doubted)
+        answer = problem.answer()
+        accused = problem.accused(answer.solved)
+        left = {name: steps - 1 for name, steps in self._doubted.items() if steps > 1}
+        self._doubted = left | dict.fromkeys(accused, _DOUBTED_STEPS)
+        if accused:
+            self._learn_mountings(problem, answer.solved, accused)
+            rest = [j for j, name in enumerate(used) if name not in accused]
+            moment = replace(moment, used={name: seen for name, seen in used.items() if name not in accused})
+            problem = Problem(self.config, moment, layout.of(rest), self._rates, self._mountings)
+            answer = problem.answer()
+        return self._report((problem, answer), moment.used, two_frame)
 
     def _check(self, timestamp_us: int, sights: Mapping[str, Sight]) -> None:
         if self._times_us is not None and timestamp_us <= self._times_us[1]:
@@ -123,30 +133,26 @@ class JointOdometry:
             and not _stands(seen)
         }
 
-    def _good(self, problem: Problem, solved: Solved) -> bool:
+    def _good(self, answer: Answer) -> bool:
+        solved = answer.solved
         if not np.isfinite(solved.unknowns).all() or not (np.diag(solved.covariance) > 0.0).all():
             return False
-        std = problem.increment(solved)[1]
-        return std <= self.config.max_yaw_std_rad and float(np.mean(problem.agree(solved))) >= self.config.least_support
+        support = np.count_nonzero(solved.agree) / len(solved.agree)
+        return answer.std_rad <= self.config.max_yaw_std_rad and support >= self.config.least_support
 
-    def _report(self, found: tuple[Problem, Solved] | None, used: Mapping[str, Sight], two_frame: float) -> JointStep:
+    def _report(self, found: tuple[Problem, Answer] | None, used: Mapping[str, Sight], two_frame: float) -> JointStep:
         """Advance the state by one step."""
-        good = found is not None and self._good(*found)
+        good = found is not None and self._good(found[1])
         share: dict[str, float] = {}
         yaw = std = residual_px = math.nan
         inliers = 0
         if found is not None:
-            problem, solved = found
-            agree = problem.agree(solved)
-            focal = np.repeat([np.mean(self._cameras[name].focal_px) for name in used], np.diff(problem.views.start))
-            if agree.any():
-                residual_px = float(np.median((np.abs(solved.residual) * focal)[agree]))
-            for j, (name, seen) in enumerate(used.items()):
-                inside = float(np.mean(agree[problem.views.start[j] : problem.views.start[j + 1]]))
-                share[name] = 1.0 - inside
-                inliers += round(inside * seen.matches)
+            problem, (solved, yaw, std) = found
+            residual_px = self._residual_px(problem, solved)
+            support = dict(zip(used, solved.support.tolist(), strict=True))
+            share = {name: 1.0 - inside for name, inside in support.items()}
+            inliers = sum(round(inside * used[name].matches) for name, inside in support.items())
             if good:
-                yaw, std = problem.increment(solved)
                 more, share_of_rig = problem.lean(solved)
                 yaw, std = yaw + more, std * math.sqrt(share_of_rig)
         if good:
@@ -160,7 +166,7 @@ class JointOdometry:
             self._rates.forget()
         tracking = self._state is State.TRACKING
         if good and found is not None:
-            self._learn(*found, tracking=tracking)
+            self._learn(found[0], found[1].solved, tracking=tracking)
         return JointStep(
             state=self._state,
             yaw_increment_rad=yaw if tracking else math.nan,
@@ -172,6 +178,12 @@ class JointOdometry:
             misplaced=self._mountings.misplaced,
             two_frame_yaw_increment_rad=two_frame,
         )
+
+    def _residual_px(self, problem: Problem, solved: Solved) -> float:
+        """Median residual of the matches that agree [px]; NaN without any."""
+        focal = [float(self._cameras[name].focal_px.mean()) for name in problem.moment.used]
+        across = np.abs(solved.residual) * np.repeat(focal, np.diff(problem.views.start))
+        return float(np.median(across[solved.agree])) if solved.agree.any() else math.nan
 
     def _learn(self, problem: Problem, solved: Solved, *, tracking: bool) -> None:
         with_heading = problem.with_heading(solved) if tracking else np.zeros(2)  # others need no making up for

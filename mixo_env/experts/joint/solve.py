@@ -35,6 +35,9 @@ _SETTLED = 3
 
 _LARGEST_STEP_RAD = 0.02
 
+_INLIER_STD = 3.0
+"""As in monocular/motion.py."""
+
 
 class Views(NamedTuple):
     """What the cameras of a step see, one after another.
@@ -46,8 +49,9 @@ class Views(NamedTuple):
         position: ``(m, 3)`` of the camera [m].
         distance: ``(m,)`` travelled over its window [m], not 0.
         noise: ``(m,)`` expected position noise.
-        local: ``(m, 6, N)`` its six unknowns from all.
+        local: ``(m, 6, BODY + OWN)`` its six unknowns from those of the body and its own.
         alone: ``(m, 6)`` information on each of the six when the camera is alone.
+        doubt: ``(m,)`` the expected yaw error of its own is so many times as large as usual.
     """
 
     first: FloatArray
@@ -59,6 +63,7 @@ class Views(NamedTuple):
     noise: FloatArray
     local: FloatArray
     alone: FloatArray
+    doubt: FloatArray
 
 
 class Solved(NamedTuple):
@@ -69,6 +74,8 @@ class Solved(NamedTuple):
         covariance: ``(N, N)``.
         noise: ``(m,)`` estimated.
         residual: ``(n,)`` across the epipolar lines, inf where a match is impossible.
+        agree: ``(n,)`` matches that agree with the solution.
+        support: ``(m,)`` share of each camera's matches that do.
         formal: ``(m,)`` standard deviation of the yaw of each camera alone [rad].
     """
 
@@ -76,7 +83,44 @@ class Solved(NamedTuple):
     covariance: FloatArray
     noise: FloatArray
     residual: FloatArray
+    agree: NDArray[np.bool_]
+    support: FloatArray
     formal: FloatArray
+
+
+@compiled
+def _add(h: FloatArray, g: FloatArray, own: int, local: FloatArray, scale: float, equations: Equations) -> None:
+    """Map the equations of a camera's six unknowns to those of the body and its own, which begin at ``own``."""
+    mapped = np.zeros((6, BODY + OWN))
+    for a in range(6):
+        for b in range(6):
+            for k in range(BODY + OWN):
+                mapped[a, k] += equations.h[a, b] * local[b, k]
+    for j in range(BODY + OWN):
+        row = j if j < BODY else own + j - BODY
+        for a in range(6):
+            if local[a, j] == 0.0:
+                continue
+            factor = scale * local[a, j]
+            g[row] += factor * equations.g[a]
+            for k in range(BODY):
+                h[row, k] += factor * mapped[a, k]
+            for k in range(OWN):
+                h[row, own + k] += factor * mapped[a, BODY + k]
+
+
+@compiled
+def _alone(h: FloatArray, scale: float, prior: FloatArray) -> float:
+    """Standard deviation of the first of six unknowns, from their equations and independent priors."""
+    a = scale * h
+    for k in range(6):
+        a[k, k] += prior[k]
+    for k in range(5, 0, -1):  # eliminate the last unknown, one after another
+        for i in range(k):
+            factor = a[i, k] / a[k, k]
+            for j in range(k):
+                a[i, j] -= factor * a[k, j]
+    return math.sqrt(1.0 / a[0, 0])
 
 
 @compiled
@@ -107,24 +151,23 @@ def solve_step(
         for j in range(cameras):
             a, b = views.start[j], views.start[j + 1]
             mounting = Mounting(views.rotation[j], views.position[j])
-            local = views.local[j]
+            at = BODY + OWN * j
+            here = views.local[j] @ np.concatenate((x[:BODY], x[at : at + OWN]))
             match_equations(
                 Matches(views.first[a:b], views.second[a:b]),
                 least[a:b],
                 mounting,
-                local @ x,
+                here,
                 views.distance[j],
                 sigma[j],
                 (residual[a:b], across[a:b]),
                 equations,
             )
             scale = 1.0 / (OPTIMISM * sigma[j]) ** 2
-            h += local.T @ (scale * (equations.h @ local))
-            g += local.T @ (scale * equations.g)
+            _add(h, g, at, views.local[j], scale, equations)
             if iteration >= _SETTLED:
-                formal[j] = math.sqrt(np.linalg.inv(scale * equations.h + np.diag(views.alone[j]))[0, 0])
-            at = BODY + OWN * j
-            std = math.hypot(own[0], own[1] * formal[j])
+                formal[j] = _alone(equations.h, scale, views.alone[j])
+            std = views.doubt[j] * math.hypot(own[0], own[1] * formal[j])
             weight = (own[2] + 1.0) / (own[2] + (x[at] / std) ** 2) / std**2
             h[at, at] += weight
             g[at] += weight * x[at]
@@ -132,6 +175,13 @@ def solve_step(
         step = np.linalg.solve(h, g)
         largest = 0.0
         for j in range(cameras):
-            largest = max(largest, np.abs((views.local[j] @ step)[:3]).max() / _LARGEST_STEP_RAD)
+            at = BODY + OWN * j
+            turned = views.local[j] @ np.concatenate((step[:BODY], step[at : at + OWN]))
+            largest = max(largest, np.abs(turned[:3]).max() / _LARGEST_STEP_RAD)
         x -= step / max(largest, 1.0)
-    return Solved(x, np.linalg.inv(h).astype(np.float64), sigma, residual, formal)
+    agree, support = np.empty(len(residual), np.bool_), np.empty(cameras)
+    for j in range(cameras):
+        a, b = views.start[j], views.start[j + 1]
+        agree[a:b] = np.abs(residual[a:b]) < _INLIER_STD * sigma[j]
+        support[j] = np.mean(agree[a:b])
+    return Solved(x, np.linalg.inv(h).astype(np.float64), sigma, residual, agree, support, formal)
