@@ -16,6 +16,7 @@ import simplejpeg
 
 from mixo_env.cli.main import main
 from mixo_env.envs import rendering
+from mixo_env.errors import ConfigurationError
 from mixo_env.experts.expert import State
 from mixo_env.leaderboard import rerun_file
 from mixo_env.leaderboard.film import frames
@@ -171,6 +172,14 @@ def test_without_rerun_there_is_one_line(
     assert main(["view", str(folder), "--out", str(tmp_path / "drive.rrd")]) == 2
     assert capsys.readouterr().err == "mixo: the viewer needs the package rerun-sdk: pip install 'mixo-env[view]'\n"
     assert not list(tmp_path.iterdir())
+
+
+def test_no_viewer_is_opened_without_a_display(drive: OneDrive, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr("sys.platform", "linux")
+    with pytest.raises(ConfigurationError, match="needs a display"):
+        rerun_file.open_viewer(drive, None, lambda done, total: None)
 
 
 def test_corners_are_found_again_where_the_picture_slid_to(pictured: tuple[Path, Recordings]) -> None:

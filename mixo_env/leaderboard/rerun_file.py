@@ -13,6 +13,8 @@
 from __future__ import annotations
 
 import itertools
+import os
+import sys
 import tempfile
 from collections.abc import Callable
 from importlib.util import find_spec
@@ -80,8 +82,11 @@ def open_viewer(drive: OneDrive, rig: Rig | None, progress: Callable[[int, int],
     """Start Rerun's viewer and show the drive; it goes on without this process.
 
     Raises:
-        ConfigurationError: without Rerun, or when its viewer does not start.
+        ConfigurationError: without Rerun, without a display, or when its viewer does not start.
     """
+    # Rerun would wait for a viewer for ever.
+    if sys.platform == "linux" and not (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        raise ConfigurationError("--spawn needs a display, and there is none: write a file with --out instead")
     recording, blueprint = _opened(drive, rig)
     try:
         recording.spawn(default_blueprint=blueprint)
