@@ -59,5 +59,5 @@ def with_changes(
                 pull[j] += precision * yaw * weights[j]
                 for k in range(3):
                     total[j, k] += precision * weights[j] * weights[k]
-        rates = np.linalg.solve(total, pull)
+        rates = np.linalg.solve(total, pull).astype(np.float64)
     return rates, total

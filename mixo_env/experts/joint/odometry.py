@@ -35,7 +35,7 @@ def _stands(seen: Sight) -> bool:
     if abs(seen.distance_m) <= _ROLLING_M:
         return False
     still = np.abs(seen.second - seen.first) <= (seen.noise if abs(seen.distance_m) > _MOVING_M else 0.0)
-    return 2 * np.count_nonzero(still[:, 0] & still[:, 1]) > len(still)
+    return bool(2 * np.count_nonzero(still[:, 0] & still[:, 1]) > len(still))
 
 
 class JointOdometry:
@@ -138,7 +138,7 @@ class JointOdometry:
         if not np.isfinite(solved.unknowns).all() or not (np.diag(solved.covariance) > 0.0).all():
             return False
         support = np.count_nonzero(solved.agree) / len(solved.agree)
-        return answer.std_rad <= self.config.max_yaw_std_rad and support >= self.config.least_support
+        return answer.std_rad <= self.config.max_yaw_std_rad and bool(support >= self.config.least_support)
 
     def _report(self, found: tuple[Problem, Answer] | None, used: Mapping[str, Sight], two_frame: float) -> JointStep:
         """Advance the state by one step."""

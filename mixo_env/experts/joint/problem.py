@@ -105,10 +105,10 @@ class Problem:
             last = np.full((2, 2), _UNKNOWN_RATE_RADPS**2)
             last[1, 1] += (acceleration * knots[0]) ** 2
             self._knot_covariance, self._gain = knot_covariance(last, acceleration * knots[2]), np.zeros(3)
-            return np.linalg.inv(self._knot_covariance)
+            return np.asarray(np.linalg.inv(self._knot_covariance), np.float64)
         self._expected = self._rates.mean[[0, 1, 1]]
         self._knot_covariance = knot_covariance(self._rates.covariance, acceleration * knots[2])
-        information = np.linalg.inv(self._knot_covariance)
+        information = np.asarray(np.linalg.inv(self._knot_covariance), np.float64)
         self._gain = information @ self._rates.with_heading[[0, 1, 1]]
         self._mean[:3], total = with_changes(self._expected, information, self._changes(), self._config.freedom)
         return total
@@ -195,7 +195,8 @@ class Problem:
         seen = (self.views.local[:, 0, :3] @ rates + corrected).tolist()
         used = self.moment.used.values()
         told = [(one.told.yaw_rad - yaw, one.told.std_rad) for one, yaw in zip(used, seen, strict=True) if one.told]
-        return lean(*np.ascontiguousarray(np.reshape(told, (-1, 2)).T), self._config.freedom)
+        deviation, std = np.ascontiguousarray(np.reshape(told, (-1, 2)).T)
+        return lean(deviation, std, self._config.freedom)
 
     def with_heading(self, solved: Solved) -> FloatArray:
         """Covariance ``(2,)`` of the rates at the last two knots with the heading that the increments add up to."""

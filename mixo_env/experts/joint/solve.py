@@ -124,6 +124,19 @@ def _alone(h: FloatArray, scale: float, prior: FloatArray) -> float:
 
 
 @compiled
+def _agreeing(
+    start: NDArray[np.int64], residual: FloatArray, sigma: FloatArray
+) -> tuple[NDArray[np.bool_], FloatArray]:
+    """``agree`` and ``support`` of :class:`Solved`."""
+    agree, support = np.empty(len(residual), np.bool_), np.empty(len(sigma))
+    for j in range(len(sigma)):
+        a, b = start[j], start[j + 1]
+        agree[a:b] = np.abs(residual[a:b]) < _INLIER_STD * sigma[j]
+        support[j] = np.mean(agree[a:b])
+    return agree, support
+
+
+@compiled
 def solve_step(
     views: Views, start: FloatArray, mean: FloatArray, information: FloatArray, own: tuple[float, float, float]
 ) -> Solved:
@@ -179,9 +192,5 @@ def solve_step(
             turned = views.local[j] @ np.concatenate((step[:BODY], step[at : at + OWN]))
             largest = max(largest, np.abs(turned[:3]).max() / _LARGEST_STEP_RAD)
         x -= step / max(largest, 1.0)
-    agree, support = np.empty(len(residual), np.bool_), np.empty(cameras)
-    for j in range(cameras):
-        a, b = views.start[j], views.start[j + 1]
-        agree[a:b] = np.abs(residual[a:b]) < _INLIER_STD * sigma[j]
-        support[j] = np.mean(agree[a:b])
+    agree, support = _agreeing(views.start, residual, sigma)
     return Solved(x, np.linalg.inv(h).astype(np.float64), sigma, residual, agree, support, formal)
