@@ -97,6 +97,19 @@ def test_a_turn_widens_the_slip_and_teaches_less() -> None:
     assert taught[1].heave_std == taught[0].heave_std
 
 
+def test_what_a_turn_has_taught_is_soon_forgotten_on_the_straight() -> None:
+    """Two seconds of a turn in which every pair errs by the same 20 mrad, then one second of straight road."""
+    way, course, std = 0.35, Course(0.05, 0.006), 0.004
+    for k in range(36):
+        sideways, slip = (1.3, 0.02) if k < 24 else (0.0, 0.0)
+        prior = course.expect(MotionPrior(way, 0.1, 0.001), sideways)
+        mean, prior_std = prior.offset()[0][0], prior.offset()[1][0]
+        weight = 1.0 / std**2 + 1.0 / prior_std**2
+        solved = (slip * way / std**2 + mean / prior_std**2) / weight
+        course.learn(measured(float(solved), 0.0, float(weight**-0.5)), prior, sideways)
+    assert abs(course.expect(MotionPrior(way, 0.1, 0.001), 0.0).slip_mean) < 0.006  # .010 if pairs erred independently
+
+
 @pytest.mark.parametrize("distance", [DISTANCE, -DISTANCE])
 def test_shares_keep_their_sign_in_reverse(distance: float) -> None:
     """Slip and heave are shares of the way: a car in reverse slips the other way and its camera sinks where it rose."""

@@ -16,6 +16,7 @@ from mixo_env.experts.monocular.motion import Motion, MotionPrior
 
 _SLOWEST_M = 0.2  # shorter ways between two images say nothing about a direction
 _SLIP_PER_ACCELERATION = 0.006  # rad per m/s^2: tyres under side force roll at an angle to the way
+_ALIKE_IN_TURNS = 3.0  # pairs of one turn err alike: the mean takes them as so many times less certain than one is
 _FORGET = 0.98  # weight that the past keeps from one pair to the next: a memory of about 4 s
 _FARTHEST = 3.0  # standard deviations; a pair that is further off is a mistake of its own
 
@@ -88,7 +89,11 @@ class Course:
             return
         solved = ((motion.slip_m, motion.slip_std_m), (motion.heave_m, motion.heave_std_m))
         for follower, (value, std), mean, prior_std, spread in zip(
-            (self._slip, self._heave), solved, *prior.offset(), self._spreads(sideways_mps2), strict=True
+            (self._slip, self._heave),
+            solved,
+            *prior.offset(),
+            self._spreads(_ALIKE_IN_TURNS * sideways_mps2),
+            strict=True,
         ):
             information = 1.0 / std**2 - 1.0 / prior_std**2
             if information <= 1e-6 / prior_std**2:
