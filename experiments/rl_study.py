@@ -1,0 +1,300 @@
+"""How agents of Stable-Baselines3 learn to weight experts: settings, algorithms, steps and seconds to LINEAR and MIXO.
+
+    python -m experiments.rl_study
+
+Every training is a file of its own in ``--folder``, written when it ended: interrupt the study whenever you like, and
+the same command goes on where it stood.
+"""
+
+from __future__ import annotations
+
+import itertools
+import logging
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+import msgspec
+import numpy as np
+
+from experiments.rl_training import Field, Point, Recipe, Training, errors, train
+from experiments.studies import print_study
+from mixo_env.errors import ConfigurationError, ResultsError, printable, unknown
+from mixo_env.files import atomic_path, writable_folder, write_json
+from mixo_env.leaderboard.held_out import hold_out
+from mixo_env.policies.fitting import prepare
+from mixo_env.policies.gate import Mixo
+from mixo_env.policies.linear import Linear
+from mixo_env.policies.reinforcement import PPO
+from mixo_env.recordings.presets import data_label
+from mixo_env.recordings.store import load_recordings
+from mixo_env.tables import Cell, Column, Table
+
+logger = logging.getLogger(__name__)
+
+
+def _tuned() -> Recipe:
+    """What the policy PPO does."""
+    ours = PPO()
+    settings = {
+        "n_steps": ours.rollout,
+        "batch_size": ours.batch,
+        "n_epochs": ours.epochs,
+        "learning_rate": ours.learning_rate,
+        "policy_kwargs": {"net_arch": list(ours.hidden)},
+    }
+    return Recipe("PPO", ours.gamma, ours.environments, settings=settings)
+
+
+SHORT = 61_440
+"""Steps of the short trainings: those that the table shows first, and all of the slow algorithms."""
+TUNED = _tuned()
+OFF_POLICY = {"train_freq": 1, "gradient_steps": 4, "batch_size": 256, "learning_rate": 1e-3, "learning_starts": 4096}
+
+
+def quiet(log_std: float, recipe: Recipe = TUNED, **settings: Any) -> Recipe:
+    """PPO that explores with another standard deviation at first, and other settings."""
+    network = recipe.settings["policy_kwargs"] | {"log_std_init": log_std}
+    return replace(recipe, settings=recipe.settings | {"policy_kwargs": network} | settings)
+
+
+RECIPES: dict[str, Recipe] = {
+    "PPO": TUNED,
+    "PPO, gamma .99": replace(TUNED, gamma=0.99),
+    "PPO, reward abs": replace(TUNED, reward="abs"),
+    "PPO, defaults of SB3": Recipe("PPO", 0.99, 1, standardised=False, most_steps=SHORT),
+    "PPO, defaults, gamma 0": Recipe("PPO", 0.0, 1, standardised=False, most_steps=SHORT),
+    "A2C": Recipe("A2C", settings={"n_steps": 16, "learning_rate": 1e-3}),
+    "SAC": Recipe("SAC", reward="abs", settings=OFF_POLICY, most_steps=SHORT),
+    "TD3": Recipe("TD3", reward="abs", settings=OFF_POLICY, most_steps=SHORT),
+    "DQN": Recipe("DQN", reward="abs", settings=OFF_POLICY, most_steps=SHORT),
+}
+"""Rows of the study, the tuned PPO first."""
+
+CANDIDATES: dict[str, Recipe] = {
+    "log std 0": quiet(0.0),
+    "log std -.5": quiet(-0.5),
+    "log std -1": quiet(-1.0),
+    "log std -1.5": quiet(-1.5),
+    "log std -1, reward abs": quiet(-1.0, replace(TUNED, reward="abs")),
+    "log std -1, rate 5e-4": quiet(-1.0, learning_rate=5e-4),
+    "log std -1, rate 2e-3": quiet(-1.0, learning_rate=2e-3),
+    "log std -.5, batch 2048": quiet(-0.5, batch_size=2048),
+}
+"""Among which PPO's settings are chosen, on folds that the study's table never scores."""
+
+
+@dataclass(frozen=True)
+class Key:
+    """What a training depends on; it stands beside its result."""
+
+    data: str
+    recipe: Recipe
+    track: str
+    fold: int
+    without: int | None
+    steps: int
+    every: int
+    seed: int
+
+
+@dataclass(frozen=True)
+class Stored:
+    """One file of the folder."""
+
+    key: Key
+    training: Training
+
+
+@dataclass(frozen=True)
+class RLStudy:
+    """Train agents with several seeds; print and draw what they reach on a held-out fold."""
+
+    recordings: Path | None = None
+    """Folder of recordings; default: the bundled ones."""
+    recipes: tuple[str, ...] = ("PPO", "PPO, gamma .99", "PPO, defaults of SB3", "PPO, defaults, gamma 0")
+    """Which agents."""
+    tracks: tuple[str, ...] = ("CONSUMER", "VISION")
+    """Who votes."""
+    folds: tuple[int, ...] = (3,)
+    """Each is held out in turn."""
+    without: int | None = None
+    """A fold left out altogether: choose settings with it, then score them on it."""
+    seeds: int = 3
+    """Trainings of every agent."""
+    steps: int = 245_760
+    """Of the environment in each; the rate of learning is constant, so shorter trainings are its beginning."""
+    every: int = 12_288
+    """Steps between evaluations."""
+    folder: Path = Path("results/rl_study")
+    """Finished trainings; they are not repeated."""
+    out: Path | None = None
+    """Figure to write."""
+
+    def run(self) -> Table:
+        """Train what is missing, then print."""
+        self._check()
+        writable_folder(self.folder)
+        fields = {place: self._field(*place) for place in itertools.product(self.tracks, self.folds)}
+        found: dict[tuple[str, str], list[Training]] = {}
+        goals: dict[str, list[Goals]] = {}
+        for (track, fold), field in fields.items():
+            goals.setdefault(track, []).append(goals_of(field))
+            for name, seed in itertools.product(self.recipes, range(self.seeds)):
+                found.setdefault((track, name), []).append(self._trained(name, field, fold, seed))
+        if self.out:
+            draw(found, goals, self.out)
+        data = data_label(fields[self.tracks[0], self.folds[0]].test.manifest)
+        return table(found, goals, f"{data}, held-out folds {self.folds}, {self.seeds} seeds")
+
+    def _check(self) -> None:
+        for name in self.recipes:
+            if name not in RECIPES | CANDIDATES:
+                raise ConfigurationError(unknown("agent", name, RECIPES | CANDIDATES))
+        for name in ("seeds", "steps", "every"):
+            if getattr(self, name) < 1:
+                raise ConfigurationError(f"{name}: expected 1 or more, got {getattr(self, name)}: leave it out")
+        if not (self.tracks and self.folds and self.recipes):
+            raise ConfigurationError("expected at least one track, fold and agent, got none: name one")
+
+    def _field(self, track: str, fold: int) -> Field:
+        recordings = load_recordings(self.recordings)
+        folds = sorted({scene.fold for scene in recordings.scenes} - {-1, self.without})
+        return Field(*hold_out(recordings.select(folds=folds), fold), track)
+
+    def _trained(self, name: str, field: Field, fold: int, seed: int) -> Training:
+        """From the folder, else now."""
+        recipe, data = (RECIPES | CANDIDATES)[name], data_label(field.test.manifest)
+        steps = min(self.steps, recipe.most_steps)
+        key = Key(data, recipe, field.track, fold, self.without, steps, self.every, seed)
+        words = re.sub(r"[^a-z0-9]+", "-", f"{name} {field.track} fold {fold}".lower().replace("-", "minus "))
+        rest = "" if self.without is None else f"-without-{self.without}"
+        path = self.folder / f"{words}{rest}-seed-{seed}.json"
+        if path.exists():
+            return read(path, key)
+        training = train(recipe, field, steps, self.every, seed)
+        write_json(path, Stored(key, training))
+        last = training.curve[-1]
+        logger.info("%s: yaw %.4f deg, RTE %.4f deg/m, %.0f s", path.stem, *last.errors, last.seconds)
+        return training
+
+
+def read(path: Path, key: Key) -> Training:
+    """A finished training.
+
+    Raises:
+        ResultsError: when it is broken, or of other data or settings.
+    """
+    try:
+        stored = msgspec.json.decode(path.read_bytes(), type=Stored)
+    except (OSError, ValueError) as error:
+        raise ResultsError(f"{path} is no finished training ({printable(str(error))}): delete it") from None
+    if stored.key != msgspec.convert(msgspec.to_builtins(key), Key):
+        names = [field.name for field in fields(key) if getattr(stored.key, field.name) != getattr(key, field.name)]
+        raise ResultsError(f"{path} was trained with other {', '.join(names)}: choose another --folder, or delete it")
+    return stored.training
+
+
+@dataclass(frozen=True)
+class Goals:
+    """Yaw RMSE [deg] and RTE [deg/m] of the policies to be reached."""
+
+    linear: tuple[float, float]
+    mixo: tuple[float, float]
+
+
+def goals_of(field: Field) -> Goals:
+    """LINEAR, and the mean of MIXO over three seeds."""
+    linear, gates = Linear(), [Mixo() for _ in range(3)]
+    prepare(linear, field.training, field.track)
+    for seed, gate in enumerate(gates):
+        prepare(gate, field.training, field.track, seed=seed)
+    yaw, rte = np.mean([errors(gate, field.test, field.track) for gate in gates], axis=0)
+    return Goals(errors(linear, field.test, field.track), (float(yaw), float(rte)))
+
+
+def reached(training: Training, goal: tuple[float, float], measure: int) -> Point | None:
+    """The first evaluation of a training that is as good as ``goal`` in yaw RMSE (0) or RTE (1)."""
+    return next((point for point in training.curve if point.errors[measure] <= goal[measure]), None)
+
+
+def _when(trainings: Sequence[Training], goals: Sequence[tuple[float, float]], measure: int) -> str:
+    """Steps and seconds until a goal is reached: the median of those seeds that did, and how many."""
+    points = [reached(training, goal, measure) for training, goal in zip(trainings, goals, strict=True)]
+    there = [point for point in points if point]
+    if not there:
+        return "not reached"
+    steps, seconds = (float(np.median([getattr(p, name) for p in there])) for name in ("steps", "seconds"))
+    return f"{steps / 1000:.0f} k, {seconds:.1f} s ({len(there)} of {len(points)})"
+
+
+def at(training: Training, steps: int) -> Point:
+    """The first evaluation after ``steps``, else the last."""
+    return next((point for point in training.curve if point.steps >= steps), training.curve[-1])
+
+
+def table(found: Mapping[tuple[str, str], list[Training]], goals: Mapping[str, list[Goals]], caption: str) -> Table:
+    """Errors after the short and the whole training, and when LINEAR and MIXO were reached."""
+    columns = [Column(name) for name in ("track", "agent")]
+    columns += [
+        Column(f"{name} {when}", unit, ".4f")
+        for when in (f"{SHORT // 1000} k", "end")
+        for name, unit in (("yaw", "deg"), ("RTE", "deg/m"))
+    ]
+    columns += [Column("steps"), Column("time", "s", ".0f"), Column("environment", "%", ".1f")]
+    columns += [Column(f"{who}'s {what}") for who in ("LINEAR", "MIXO") for what in ("yaw", "RTE")]
+    rows: list[list[Cell]] = []
+    for track, all_goals in goals.items():
+        for who in ("linear", "mixo"):
+            mean = np.mean([getattr(goal, who) for goal in all_goals], axis=0)
+            rows.append([track, who.upper(), None, None, *map(float, mean), *[None] * 7])
+        for (_, name), trainings in ((key, value) for key, value in found.items() if key[0] == track):
+            each = [goal for goal in all_goals for _ in range(len(trainings) // len(all_goals))]
+            early, late = (np.mean([at(t, steps).errors for t in trainings], axis=0) for steps in (SHORT, 10**12))
+            ends = [t.curve[-1] for t in trainings]
+            seconds, share = np.mean([p.seconds for p in ends]), 100 * np.mean([t.environment_share for t in trainings])
+            whens = [_when(trainings, [getattr(g, who) for g in each], m) for who in ("linear", "mixo") for m in (0, 1)]
+            numbers = [*map(float, (*early, *late))]
+            rows.append([track, name, *numbers, ends[0].steps, float(seconds), float(share), *whens])
+    return Table(caption, tuple(columns), rows)
+
+
+def draw(found: Mapping[tuple[str, str], list[Training]], goals: Mapping[str, list[Goals]], out: Path) -> None:
+    """Curves of every agent: mean over seeds and folds, and the range from the best to the worst."""
+    import matplotlib as mpl
+
+    mpl.use("Agg")
+    from matplotlib import pyplot as plt
+
+    figure, grid = plt.subplots(len(goals), 2, figsize=(10, 3.6 * len(goals)), layout="constrained", squeeze=False)
+    for axes, (track, all_goals) in zip(grid, goals.items(), strict=True):
+        for measure, axis in enumerate(axes):
+            for (_, name), trainings in ((key, value) for key, value in found.items() if key[0] == track):
+                shortest = min(len(t.curve) for t in trainings)
+                values = np.array([[p.errors[measure] for p in t.curve[:shortest]] for t in trainings])
+                steps = [max(p.steps, 1) / 1000 for p in trainings[0].curve[:shortest]]
+                (line,) = axis.plot(steps, values.mean(axis=0), label=name)
+                axis.fill_between(steps, values.min(axis=0), values.max(axis=0), alpha=0.15, color=line.get_color())
+            for who, style in (("linear", "--"), ("mixo", ":")):
+                goal = float(np.mean([getattr(g, who)[measure] for g in all_goals]))
+                axis.axhline(goal, color="black", linestyle=style, linewidth=1, label=who.upper())
+                axis.set_ylim(0.6 * goal, 4 * goal)
+            axis.set(xlabel="steps of the environment [thousands]", ylabel=("yaw RMSE [deg]", "RTE [deg/m]")[measure])
+            axis.set(title=f"{track}, held out", yscale="log")
+            axis.grid(alpha=0.3, which="both")
+    grid[0, 0].legend(fontsize=8)
+    with atomic_path(out) as temporary:
+        figure.savefig(temporary, dpi=110, format=out.suffix[1:])
+    plt.close(figure)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Command line; see :class:`RLStudy`."""
+    return print_study(RLStudy, arguments)
+
+
+if __name__ == "__main__":
+    logging.basicConfig(level=logging.INFO, format="%(message)s")
+    raise SystemExit(main())
