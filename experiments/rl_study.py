@@ -43,7 +43,7 @@ def _tuned() -> Recipe:
         "batch_size": ours.batch,
         "n_epochs": ours.epochs,
         "learning_rate": ours.learning_rate,
-        "policy_kwargs": {"net_arch": list(ours.hidden)},
+        "policy_kwargs": {"net_arch": list(ours.hidden), "log_std_init": ours.log_std},
     }
     return Recipe("PPO", ours.gamma, ours.environments, settings=settings)
 
@@ -62,6 +62,7 @@ def quiet(log_std: float, recipe: Recipe = TUNED, **settings: Any) -> Recipe:
 
 RECIPES: dict[str, Recipe] = {
     "PPO": TUNED,
+    "PPO, log std 0": quiet(0.0),
     "PPO, gamma .99": replace(TUNED, gamma=0.99),
     "PPO, reward abs": replace(TUNED, reward="abs"),
     "PPO, defaults of SB3": Recipe("PPO", 0.99, 1, standardised=False, most_steps=SHORT),
@@ -74,7 +75,6 @@ RECIPES: dict[str, Recipe] = {
 """Rows of the study, the tuned PPO first."""
 
 CANDIDATES: dict[str, Recipe] = {
-    "log std 0": quiet(0.0),
     "log std -.5": quiet(-0.5),
     "log std -1": quiet(-1.0),
     "log std -1.5": quiet(-1.5),
@@ -114,7 +114,7 @@ class RLStudy:
 
     recordings: Path | None = None
     """Folder of recordings; default: the bundled ones."""
-    recipes: tuple[str, ...] = ("PPO", "PPO, gamma .99", "PPO, defaults of SB3", "PPO, defaults, gamma 0")
+    recipes: tuple[str, ...] = ("PPO", "PPO, log std 0", "PPO, gamma .99")
     """Which agents."""
     tracks: tuple[str, ...] = ("CONSUMER", "VISION")
     """Who votes."""

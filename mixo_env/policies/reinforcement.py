@@ -48,13 +48,27 @@ class PPO(Policy):
         batch: int = 1024,
         epochs: int = 10,
         learning_rate: float = 1e-3,
+        log_std: float = -1.0,
         hidden: tuple[int, ...] = (64, 64),
     ) -> None:
-        """Set the training: ``steps`` of the environment in all, ``rollout`` steps of each between updates."""
+        """Set the training.
+
+        Args:
+            steps: of the environment in all.
+            gamma: discount.
+            environments: copies played at once.
+            rollout: steps of each between two updates.
+            batch: size of a minibatch.
+            epochs: passes over a roll-out.
+            learning_rate: of Adam.
+            log_std: logarithm of the standard deviation with which actions are explored at first. Weights are
+                logits / 5, so SB3's 0 tries weights that no good policy has.
+            hidden: widths of the layers.
+        """
         self.steps, self.gamma = steps, gamma
         self.environments, self.rollout = environments, rollout
         self.batch, self.epochs, self.learning_rate = batch, epochs, learning_rate
-        self.hidden = tuple(hidden)
+        self.log_std, self.hidden = log_std, tuple(hidden)
 
     def fit(self, training: Recordings, track: str, *, seed: int = 0) -> None:
         """Train on all scenes of ``training``; same seed, same machine: same bits."""
@@ -85,7 +99,7 @@ class PPO(Policy):
                 batch_size=self.batch,
                 n_epochs=self.epochs,
                 learning_rate=self.learning_rate,
-                policy_kwargs={"net_arch": list(self.hidden)},
+                policy_kwargs={"net_arch": list(self.hidden), "log_std_init": self.log_std},
                 seed=seed,
                 device="cpu",
             )
@@ -100,7 +114,7 @@ class PPO(Policy):
 
     def settings(self) -> dict[str, Any]:
         """Training settings."""
-        names = ("steps", "gamma", "environments", "rollout", "batch", "epochs", "learning_rate", "hidden")
+        names = ("steps", "gamma", "environments", "rollout", "batch", "epochs", "learning_rate", "log_std", "hidden")
         return {name: getattr(self, name) for name in names}
 
     def tensors(self) -> dict[str, NDArray[Any]]:
