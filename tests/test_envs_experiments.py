@@ -24,8 +24,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_budget_study(folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     study = BudgetStudy(folder, out=tmp_path / "budget.png", ppo_steps=0)
     assert study.run() == 0
-    lines = {line[22:44].strip(): line.split()[-3:] for line in capsys.readouterr().out.splitlines()[2:-1]}
-    cost = {name: float(values[0]) for name, values in lines.items()}
+    rows = (line.rsplit(maxsplit=6) for line in capsys.readouterr().out.splitlines())
+    cost = {row[0].partition(": ")[2]: float(row[1]) for row in rows if row and ": " in row[0]}
     assert cost["no camera"] == 0.0
     assert 3 * cost["CAM_FRONT"] < cost["all cameras"] <= 80.0
     assert cost["best 2 above 5.7 deg/s"] < cost["best 2 above 0.6 deg/s"] < cost["best 2"]

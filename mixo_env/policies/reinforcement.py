@@ -61,8 +61,8 @@ class PPO(Policy):
             batch: size of a minibatch.
             epochs: passes over a roll-out.
             learning_rate: of Adam.
-            log_std: logarithm of the standard deviation with which actions are explored at first. Weights are
-                logits / 5, so SB3's 0 tries weights that no good policy has.
+            log_std: logarithm of the standard deviation with which actions are explored at first. Logits are
+                5 x action, so that SB3's 0 mostly tries weights that no good policy has.
             hidden: widths of the layers.
         """
         self.steps, self.gamma = steps, gamma
