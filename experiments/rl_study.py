@@ -19,7 +19,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from experiments.rl_training import Field, Point, Recipe, Training, errors, train
+from experiments.rl_training import Field, Learner, Point, Training, errors, train
 from experiments.studies import print_study
 from mixo_env.errors import ConfigurationError, ResultsError, printable, unknown
 from mixo_env.files import atomic_path, writable_folder, write_json
@@ -27,7 +27,7 @@ from mixo_env.leaderboard.held_out import hold_out
 from mixo_env.policies.fitting import prepare
 from mixo_env.policies.gate import Mixo
 from mixo_env.policies.linear import Linear
-from mixo_env.policies.reinforcement import PPO
+from mixo_env.policies.reinforcement import A2C, DQN, PPO, SAC, TD3, Recipe
 from mixo_env.recordings.presets import data_label
 from mixo_env.recordings.store import load_recordings
 from mixo_env.tables import Cell, Column, Table
@@ -35,53 +35,42 @@ from mixo_env.tables import Cell, Column, Table
 logger = logging.getLogger(__name__)
 
 
-def _tuned() -> Recipe:
-    """What the policy PPO does."""
-    ours = PPO()
-    settings = {
-        "n_steps": ours.rollout,
-        "batch_size": ours.batch,
-        "n_epochs": ours.epochs,
-        "learning_rate": ours.learning_rate,
-        "policy_kwargs": {"net_arch": list(ours.hidden), "log_std_init": ours.log_std},
-    }
-    return Recipe("PPO", ours.gamma, ours.environments, settings=settings)
-
-
 SHORT = 61_440
 """Steps of the short trainings: those that the table shows first, and all of the slow algorithms."""
-TUNED = _tuned()
-OFF_POLICY = {"train_freq": 1, "gradient_steps": 4, "batch_size": 256, "learning_rate": 1e-3, "learning_starts": 4096}
+TUNED = PPO.usual
 
 
-def quiet(log_std: float, recipe: Recipe = TUNED, **settings: Any) -> Recipe:
-    """PPO that explores with another standard deviation at first, and other settings."""
-    network = recipe.settings["policy_kwargs"] | {"log_std_init": log_std}
-    return replace(recipe, settings=recipe.settings | {"policy_kwargs": network} | settings)
+def ppo(recipe: Recipe = TUNED, *, log_std: float | None = None, **settings: Any) -> Learner:
+    """PPO that explores with another standard deviation at first, or with other settings."""
+    network = recipe.network if log_std is None else {"log_std_init": log_std}
+    return Learner("PPO", replace(recipe, settings=recipe.settings | settings, network=network))
 
 
-RECIPES: dict[str, Recipe] = {
-    "PPO": TUNED,
-    "PPO, log std 0": quiet(0.0),
-    "PPO, gamma .99": replace(TUNED, gamma=0.99),
-    "PPO, reward abs": replace(TUNED, reward="abs"),
-    "PPO, defaults of SB3": Recipe("PPO", 0.99, 1, standardised=False, most_steps=SHORT),
-    "PPO, defaults, gamma 0": Recipe("PPO", 0.0, 1, standardised=False, most_steps=SHORT),
-    "A2C": Recipe("A2C", settings={"n_steps": 16, "learning_rate": 1e-3}),
-    "SAC": Recipe("SAC", reward="abs", settings=OFF_POLICY, most_steps=SHORT),
-    "TD3": Recipe("TD3", reward="abs", settings=OFF_POLICY, most_steps=SHORT),
-    "DQN": Recipe("DQN", reward="abs", settings=OFF_POLICY, most_steps=SHORT),
+NAIVE = Recipe(gamma=0.99, environments=1, standardised=False)
+RECIPES: dict[str, Learner] = {
+    "PPO": ppo(),
+    "PPO, paper observation": ppo(replace(TUNED, observation="paper")),
+    "PPO, log std 0": ppo(log_std=0.0),
+    "PPO, gamma .99": ppo(replace(TUNED, gamma=0.99)),
+    "PPO, reward abs": ppo(replace(TUNED, reward="abs")),
+    "PPO, reward pose": ppo(replace(TUNED, reward="pose")),
+    "PPO, defaults of SB3": Learner("PPO", NAIVE, SHORT),
+    "PPO, defaults, gamma 0": Learner("PPO", replace(NAIVE, gamma=0.0), SHORT),
+    "A2C": Learner("A2C", A2C.usual),
+    "SAC": Learner("SAC", SAC.usual, SHORT),
+    "TD3": Learner("TD3", TD3.usual, SHORT),
+    "DQN": Learner("DQN", DQN.usual, SHORT),
 }
 """Rows of the study, the tuned PPO first."""
 
-CANDIDATES: dict[str, Recipe] = {
-    "log std -.5": quiet(-0.5),
-    "log std -1": quiet(-1.0),
-    "log std -1.5": quiet(-1.5),
-    "log std -1, reward abs": quiet(-1.0, replace(TUNED, reward="abs")),
-    "log std -1, rate 5e-4": quiet(-1.0, learning_rate=5e-4),
-    "log std -1, rate 2e-3": quiet(-1.0, learning_rate=2e-3),
-    "log std -.5, batch 2048": quiet(-0.5, batch_size=2048),
+CANDIDATES: dict[str, Learner] = {
+    "log std -.5": ppo(log_std=-0.5),
+    "log std -1": ppo(log_std=-1.0),
+    "log std -1.5": ppo(log_std=-1.5),
+    "log std -1, reward abs": ppo(replace(TUNED, reward="abs")),
+    "log std -1, rate 5e-4": ppo(learning_rate=5e-4),
+    "log std -1, rate 2e-3": ppo(learning_rate=2e-3),
+    "log std -.5, batch 2048": ppo(log_std=-0.5, batch_size=2048),
 }
 """Among which PPO's settings are chosen, on folds that the study's table never scores."""
 
@@ -91,7 +80,7 @@ class Key:
     """What a training depends on; it stands beside its result."""
 
     data: str
-    recipe: Recipe
+    learner: Learner
     track: str
     fold: int
     without: int | None
@@ -166,15 +155,15 @@ class RLStudy:
 
     def _trained(self, name: str, field: Field, fold: int, seed: int) -> Training:
         """From the folder, else now."""
-        recipe, data = (RECIPES | CANDIDATES)[name], data_label(field.test.manifest)
-        steps = min(self.steps, recipe.most_steps)
-        key = Key(data, recipe, field.track, fold, self.without, steps, self.every, seed)
+        learner, data = (RECIPES | CANDIDATES)[name], data_label(field.test.manifest)
+        steps = min(self.steps, learner.most_steps)
+        key = Key(data, learner, field.track, fold, self.without, steps, self.every, seed)
         words = re.sub(r"[^a-z0-9]+", "-", f"{name} {field.track} fold {fold}".lower().replace("-", "minus "))
         rest = "" if self.without is None else f"-without-{self.without}"
         path = self.folder / f"{words}{rest}-seed-{seed}.json"
         if path.exists():
             return read(path, key)
-        training = train(recipe, field, steps, self.every, seed)
+        training = train(learner, field, steps, self.every, seed)
         write_json(path, Stored(key, training))
         last = training.curve[-1]
         logger.info("%s: yaw %.4f deg, RTE %.4f deg/m, %.0f s", path.stem, *last.errors, last.seconds)

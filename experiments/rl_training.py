@@ -3,52 +3,40 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
-from stable_baselines3 import A2C, DQN, PPO, SAC, TD3
 from stable_baselines3.common.callbacks import BaseCallback
-from stable_baselines3.common.noise import NormalActionNoise
 
-from mixo_env.envs.actions import LOGIT_SCALE
-from mixo_env.envs.reward import RewardName
 from mixo_env.envs.sb3 import MixoVecEnv
-from mixo_env.envs.wrappers import Standardise
-from mixo_env.fusion import softmax
 from mixo_env.leaderboard.evaluation import Truth, rollout
-from mixo_env.policies.linear import Linear
-from mixo_env.policies.playing import collect
-from mixo_env.policies.policy import Observation, Policy, Weights
-from mixo_env.policies.reinforcement import flat
+from mixo_env.policies.fitting import drives
+from mixo_env.policies.policy import Policy
+from mixo_env.policies.reinforcement import AGENTS, Recipe, Reinforced
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.truths import for_learning
 
-ALGORITHMS: dict[str, Any] = {"PPO": PPO, "A2C": A2C, "SAC": SAC, "TD3": TD3, "DQN": DQN}
-
 
 @dataclass(frozen=True)
-class Recipe:
-    """How an agent is trained.
+class Learner:
+    """One row of the study.
 
     Attributes:
         algorithm: of Stable-Baselines3.
-        gamma: discount.
-        environments: copies played at once.
-        reward: option of the environment.
-        standardised: observations are standardised with frozen statistics of the training scenes.
-        settings: keyword arguments of the algorithm; the rest are its defaults.
+        recipe: how it is trained; the study says for how many steps.
         most_steps: a slow agent is trained no longer.
     """
 
     algorithm: str
-    gamma: float = 0.0
-    environments: int = 64
-    reward: RewardName = "squared"
-    standardised: bool = True
-    settings: dict[str, Any] = field(default_factory=dict)
+    recipe: Recipe
     most_steps: int = 10**9
+
+    def agent(self) -> Reinforced:
+        """A new agent of this recipe and nothing else."""
+        agent = AGENTS[self.algorithm]()
+        agent.recipe = self.recipe
+        return agent
 
 
 @dataclass(frozen=True)
@@ -86,22 +74,19 @@ class Training:
     environment_share: float
 
 
-class Learner(Policy):
-    """The network of a model as it stands now."""
+@dataclass(frozen=True)
+class Field:
+    """What agents are trained and tested on.
 
-    name = "LEARNER"
+    Attributes:
+        training: scenes of the training folds.
+        test: held-out scenes, with their true poses.
+        track: who votes.
+    """
 
-    def __init__(self, model: Any, standardise: Standardise | None) -> None:
-        """Ask ``model``; ``standardise`` what it sees."""
-        self._model, self._standardise = model, standardise
-
-    def act(self, observation: Observation) -> Weights:
-        """Weights of its deterministic action ``(batch, experts)``."""
-        seen = flat(observation)
-        action, _ = self._model.predict(self._standardise(seen) if self._standardise else seen, deterministic=True)
-        if action.ndim == 1:  # "select"
-            return np.eye(len(self.experts))[action]
-        return softmax(LOGIT_SCALE * action)
+    training: Recordings
+    test: Recordings
+    track: str
 
 
 class TimedEnv(MixoVecEnv):
@@ -127,11 +112,11 @@ def errors(policy: Policy, test: Recordings, track: str) -> tuple[float, float]:
 class Watch(BaseCallback):
     """Evaluates whenever ``every`` steps have passed."""
 
-    def __init__(self, learner: Learner, test: Recordings, track: str, every: int) -> None:
-        """Evaluate ``learner`` on ``test``."""
+    def __init__(self, agent: Reinforced, field: Field, every: int) -> None:
+        """Evaluate ``agent`` with the actor as it then stands."""
         super().__init__()
         self.curve: list[Point] = []
-        self._learner, self._test, self._track, self._every = learner, test, track, every
+        self._agent, self._field, self._every = agent, field, every
         self._seconds = self._since = 0.0
 
     @property
@@ -142,7 +127,8 @@ class Watch(BaseCallback):
     def look(self) -> None:
         """Evaluate now."""
         self._seconds += time.process_time() - self._since
-        errors_now = errors(self._learner, self._test, self._track)
+        self._agent.take(self.model)
+        errors_now = errors(self._agent, self._field.test, self._field.track)
         self.curve.append(Point(self.num_timesteps, self._seconds, *errors_now))
         self._since = time.process_time()
 
@@ -158,59 +144,22 @@ class Watch(BaseCallback):
         return True
 
 
-@dataclass(frozen=True)
-class Field:
-    """What agents are trained and tested on.
-
-    Attributes:
-        training: scenes of the training folds.
-        test: held-out scenes, with their true poses.
-        track: who votes.
-    """
-
-    training: Recordings
-    test: Recordings
-    track: str
-
-    def standardise(self) -> Standardise:
-        """Statistics of what LINEAR sees on the training scenes."""
-        linear = Linear()
-        linear.fit(for_learning(self.training), self.track)
-        return Standardise.fit(flat(collect(for_learning(self.training), self.track, linear)))
-
-
-def train(recipe: Recipe, field_: Field, steps: int, every: int, seed: int) -> Training:
-    """Train with one thread of torch.
+def train(learner: Learner, field: Field, steps: int, every: int, seed: int) -> Training:
+    """Train with one thread of torch, on poses free of lag.
 
     Args:
-        recipe: of the agent.
-        field_: scenes.
+        learner: whom.
+        field: scenes.
         steps: of the environment in all.
         every: steps between evaluations.
         seed: same seed, same machine: same bits.
     """
-    import torch
-
-    torch.set_num_threads(1)
-    standardise = field_.standardise() if recipe.standardised else None
-    env = TimedEnv(
-        num_envs=recipe.environments,
-        transform=standardise,
-        recordings=for_learning(field_.training),
-        track=field_.track,
-        split="all",
-        observation="rich",
-        reward=recipe.reward,
-        weights="select" if recipe.algorithm == "DQN" else "softmax",
-    )
-    settings = dict(recipe.settings)
-    if recipe.algorithm == "TD3":
-        width: NDArray[np.float64] = np.zeros(env.action_space.shape or 1)
-        settings["action_noise"] = NormalActionNoise(width, width + 0.3)
-    model = ALGORITHMS[recipe.algorithm]("MlpPolicy", env, gamma=recipe.gamma, seed=seed, device="cpu", **settings)
-    learner = Learner(model, standardise)
-    learner.start(field_.training.voters(field_.track))
-    watch = Watch(learner, field_.test, field_.track, every)
-    model.learn(steps, callback=watch)
+    agent, training = learner.agent(), for_learning(field.training)
+    agent.start(training.voters(field.track))
+    agent.fitted_on = drives(field.training)
+    agent.standardise_by(training, field.track)
+    env = agent.environment(training, field.track, TimedEnv)
+    watch = Watch(agent, field, every)
+    agent.model(env, seed).learn(steps, callback=watch)
     watch.look()
     return Training(watch.curve, env.seconds / watch.seconds)
