@@ -19,7 +19,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from experiments.rl_training import Field, Learner, Point, Training, errors, train
+from experiments.rl_training import CLONE, Field, Learner, Point, Training, errors, train
 from experiments.studies import print_study
 from mixo_env.errors import ConfigurationError, ResultsError, printable, unknown
 from mixo_env.files import atomic_path, writable_folder, write_json
@@ -56,6 +56,7 @@ RECIPES: dict[str, Learner] = {
     "PPO, reward pose": ppo(replace(TUNED, reward="pose")),
     "PPO, defaults of SB3": Learner("PPO", NAIVE, SHORT),
     "PPO, defaults, gamma 0": Learner("PPO", replace(NAIVE, gamma=0.0), SHORT),
+    "clone of the oracle": Learner(CLONE, TUNED),
     "A2C": Learner("A2C", A2C.usual),
     "SAC": Learner("SAC", SAC.usual, SHORT),
     "TD3": Learner("TD3", TD3.usual, SHORT),

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from stable_baselines3.common.callbacks import BaseCallback
 
+from experiments.rl_cloning import clone
 from mixo_env.envs.sb3 import MixoVecEnv
 from mixo_env.leaderboard.evaluation import Truth, rollout
 from mixo_env.policies.fitting import drives
@@ -17,13 +18,15 @@ from mixo_env.policies.reinforcement import AGENTS, Recipe, Reinforced
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.truths import for_learning
 
+CLONE = "CLONE"
+
 
 @dataclass(frozen=True)
 class Learner:
     """One row of the study.
 
     Attributes:
-        algorithm: of Stable-Baselines3.
+        algorithm: of Stable-Baselines3, or CLONE: PPO's actor taught by an oracle.
         recipe: how it is trained; the study says for how many steps.
         most_steps: a slow agent is trained no longer.
     """
@@ -34,7 +37,7 @@ class Learner:
 
     def agent(self) -> Reinforced:
         """A new agent of this recipe and nothing else."""
-        agent = AGENTS[self.algorithm]()
+        agent = AGENTS["PPO" if self.algorithm == CLONE else self.algorithm]()
         agent.recipe = self.recipe
         return agent
 
@@ -159,7 +162,22 @@ def train(learner: Learner, field: Field, steps: int, every: int, seed: int) -> 
     agent.fitted_on = drives(field.training)
     agent.standardise_by(training, field.track)
     env = agent.environment(training, field.track, TimedEnv)
+    model = agent.model(env, seed)
+    if learner.algorithm == CLONE:
+        return Training(_cloned(agent, field, model, steps), 0.0)
     watch = Watch(agent, field, every)
-    agent.model(env, seed).learn(steps, callback=watch)
+    model.learn(steps, callback=watch)
     watch.look()
     return Training(watch.curve, env.seconds / watch.seconds)
+
+
+def _cloned(agent: Reinforced, field: Field, model: Any, steps: int) -> list[Point]:
+    curve: list[Point] = []
+
+    def look(shown: int, seconds: float) -> None:
+        agent.take(model)
+        curve.append(Point(shown, seconds, *errors(agent, field.test, field.track)))
+
+    look(0, 0.0)
+    clone(agent, for_learning(field.training), field.track, model, steps, look)
+    return curve

@@ -5,12 +5,18 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import gymnasium as gym
+import numpy as np
 import pytest
 
 import experiments.rl_study as module
+from experiments.rl_rewards import REWARDS, judge
 from experiments.rl_study import RLStudy, main, reached, table
 from experiments.rl_training import Point, Training
 from mixo_env.errors import ConfigurationError
+from mixo_env.leaderboard.held_out import hold_out
+from mixo_env.policies.fitting import prepare
+from mixo_env.policies.robust import Mean
 from mixo_env.recordings.store import save_recordings
 from tests.synthetic import synthetic_recordings
 
@@ -87,6 +93,42 @@ def test_trainings_of_other_settings_or_broken_ones_are_refused_in_one_line(
     assert main([*command, "4096"]) == 1
     assert "is no finished training" in caplog.records[-1].message
     assert "\n" not in caplog.records[-1].message
+
+
+def test_a_clone_of_the_oracle_learns_and_reads_no_truth_when_it_acts(folder: Path, tmp_path: Path) -> None:
+    study = RLStudy(folder, ("clone of the oracle",), ("CONSUMER",), seeds=1, steps=4000, every=1, folder=tmp_path)
+    (row,) = [row for row in study.run().rows if row[1] == "clone of the oracle"]
+    (kept,) = tmp_path.glob("*.json")
+    curve = json.loads(kept.read_bytes())["training"]["curve"]
+    assert curve[-1]["steps"] >= 4000
+    assert curve[-1]["yaw_rmse_deg"] < curve[0]["yaw_rmse_deg"]
+    assert row[4] == curve[-1]["yaw_rmse_deg"]
+
+
+@pytest.mark.parametrize("reward", REWARDS)
+def test_rows_are_judged_by_the_rewards_of_the_environment(reward: str) -> None:
+    recordings = synthetic_recordings(scenes=4, steps=30)
+    training, test = hold_out(recordings, 3)
+    policy = Mean()
+    prepare(policy, training, "CONSUMER")
+    env = gym.make(
+        "mixo_env:MixoOdometry-v0", recordings=test, split="all", order="fixed", track="CONSUMER", reward=reward
+    )
+    sigma_rad = env.unwrapped.session.reward.scale_rad  # type: ignore[attr-defined]
+    earned, over = [], False
+    env.reset(seed=0)
+    while not over:  # equal weights
+        _, one, _, over, _ = env.step(np.zeros(env.action_space.shape or 0, np.float32))
+        earned.append(one)
+    assert judge(policy, test, "CONSUMER", sigma_rad).rewards[reward] == pytest.approx(np.mean(earned), rel=1e-5)
+
+
+def test_the_reward_study_prints_a_line_per_reward(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from experiments.rl_rewards import main as compare
+
+    assert compare(["--recordings", str(folder), "--tracks", "CONSUMER", "--rows", "LINEAR", "MEDIAN", "MEAN"]) == 0
+    lines = [line.split() for line in capsys.readouterr().out.splitlines()]
+    assert [line[1] for line in lines if line and line[0] == "CONSUMER"] == ["squared", "abs", "pose", "(RTE"]
 
 
 def test_unknown_agents_are_named(folder: Path, tmp_path: Path) -> None:

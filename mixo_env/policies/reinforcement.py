@@ -136,6 +136,10 @@ class Reinforced(Policy):
         found = Standardise.fit(flat(collect(training, track, linear), self.recipe.observation))
         self._standardise = self._shown(found.mean, found.std)
 
+    def standardise_flat(self, seen: NDArray[np.float32]) -> NDArray[np.float32]:
+        """What the network is given for flat observations ``(batch, width)``."""
+        return self._standardise(check_inputs(self.name, seen, self._standardise.mean))
+
     def _shown(self, mean: NDArray[np.float32], std: NDArray[np.float32]) -> Standardise:
         if self.recipe.standardised:
             return Standardise(mean, std)
@@ -189,9 +193,9 @@ class Reinforced(Policy):
 
     def act(self, observation: Observation) -> Weights:
         """Rows ``(batch, experts)`` of the actor's deterministic action."""
-        seen = check_inputs(self.name, flat(observation, self.recipe.observation), self._standardise.mean)
+        seen = self.standardise_flat(flat(observation, self.recipe.observation))
         kind = KINDS[self.algorithm]
-        action = deterministic_action(kind, self._layers, self._standardise(seen))
+        action = deterministic_action(kind, self._layers, seen)
         return np.eye(len(self.experts))[action] if kind.discrete else softmax(LOGIT_SCALE * action)
 
     def settings(self) -> dict[str, Any]:
