@@ -244,6 +244,7 @@ class A2C(Reinforced):
     """Advantage actor-critic (Mnih et al. 2016), with all actors in step."""
 
     name = algorithm = "A2C"
+    only_track = "CONSUMER"
     expensive = True
     usual = Recipe(steps=245_760, settings={"n_steps": 16, "learning_rate": 1e-3}, network={"log_std_init": -1.0})
 
@@ -263,6 +264,7 @@ class SAC(Reinforced):
     """Soft actor-critic (Haarnoja et al. 2018); |error| as the reward, whose tails are lighter than the square's."""
 
     name = algorithm = "SAC"
+    only_track = "CONSUMER"
     expensive = True
     usual = Recipe(steps=30_720, reward="abs", settings=OFF_POLICY)
 
@@ -271,6 +273,7 @@ class TD3(Reinforced):
     """Twin delayed deterministic policy gradient (Fujimoto et al. 2018), which explores by noise on its actions."""
 
     name = algorithm = "TD3"
+    only_track = "CONSUMER"
     expensive = True
     usual = Recipe(steps=30_720, reward="abs", settings=OFF_POLICY | {"action_noise": 0.3})
 
@@ -279,6 +282,7 @@ class DQN(Reinforced):
     """Deep Q-learning (Mnih et al. 2015), which names one expert a step."""
 
     name = algorithm = "DQN"
+    only_track = "CONSUMER"
     expensive = True
     usual = Recipe(steps=61_440, reward="abs", settings=OFF_POLICY)
 
