@@ -2,9 +2,9 @@
 
     python -m experiments.budget_contexts
 
-A rule that switches in no time and for nothing chooses a set by speed and by the inertial turn; which set suits a cell
-is fitted on the training folds. It bounds what any policy of ``MixoOdometryBudget-v0`` gains that sees no more, since
-there a woken camera delivers one step late. A clairvoyant, who chooses every step's set by the error itself, bounds all.
+A rule chooses a set by cells of speed and inertial turn; which set suits a cell is fitted on the training folds. It is
+flattered: its cameras wake in no time, while in ``MixoOdometryBudget-v0`` they deliver one step late. A clairvoyant, who
+chooses every step's set by the error itself, bounds every policy with these weights.
 """
 
 from __future__ import annotations
@@ -65,7 +65,9 @@ class Outcome:
     """Mean reward of a step on held-out scenes.
 
     Attributes:
-        constant, by_cell, clairvoyant: of the best constant set, of the best set of every cell, of the best in hindsight.
+        constant: of the best constant set.
+        by_cell: of the best set of every cell.
+        clairvoyant: of the best set of every step, in hindsight.
         changed: share of steps in which the cell's set is not the constant one.
     """
 
