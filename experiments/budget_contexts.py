@@ -3,8 +3,8 @@
     python -m experiments.budget_contexts
 
 A rule chooses a set by cells of speed and inertial turn; which set suits a cell is fitted on the training folds. It is
-flattered: its cameras wake in no time, while in ``MixoOdometryBudget-v0`` they deliver one step late. A clairvoyant, who
-chooses every step's set by the error itself, bounds every policy with these weights.
+flattered: its cameras wake in no time, while in ``MixoOdometryBudget-v0`` they deliver one step late. A clairvoyant,
+who chooses every step's set by the error itself, bounds every policy with these weights.
 """
 
 from __future__ import annotations
