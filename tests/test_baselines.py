@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,7 +18,7 @@ from mixo_env.policies.fitting import check, prepare
 from mixo_env.policies.gate import Mixo
 from mixo_env.policies.playing import play
 from mixo_env.policies.policy import Observation, Policy
-from mixo_env.policies.reinforcement import PPO
+from mixo_env.policies.reinforcement import AGENTS
 from mixo_env.policies.single import Single
 from mixo_env.recordings.collection import Recordings
 from tests.synthetic import synthetic_recordings
@@ -36,8 +37,9 @@ def unseen() -> Recordings:
     return synthetic_recordings(1, scenes=3)
 
 
-SHORT: dict[str, dict[str, int]] = {name: {"epochs": 1, "min_updates": 30} for name in (Mixo.name, LinearGate.name)}
-SHORT |= {PPO.name: {"steps": 1024, "environments": 8, "batch": 256}}
+SHORT: dict[str, dict[str, Any]] = {name: {"epochs": 1, "min_updates": 30} for name in (Mixo.name, LinearGate.name)}
+FEW = {"PPO": {"batch_size": 128}, "A2C": {}, **{name: {"learning_starts": 64} for name in ("SAC", "TD3", "DQN")}}
+SHORT |= {name: {"steps": 512, "environments": 8, "settings": FEW[name]} for name in AGENTS}
 """Settings that make the trained policies quick; what they learn does not matter here."""
 
 

@@ -4,18 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
-from mixo_env.envs.observation import RICH
+from mixo_env.envs.actions import LOGIT_SCALE
+from mixo_env.envs.observation import PAPER, RICH
 from mixo_env.envs.replay import Replay
+from mixo_env.errors import ConfigurationError, PolicyError
+from mixo_env.fusion import softmax
 from mixo_env.leaderboard.evaluation import rollout
 from mixo_env.policies.fitting import drives, prepare
 from mixo_env.policies.gate import Mixo
 from mixo_env.policies.linear import Linear
 from mixo_env.policies.policy import Policy
-from mixo_env.policies.reinforcement import PPO, actor_layers, flat, mean_action
+from mixo_env.policies.reinforcement import AGENTS, DQN, PPO, flat
 from mixo_env.policies.robust import Median
 from mixo_env.recordings.collection import Recordings
 from tests.synthetic import synthetic_recordings
@@ -60,7 +64,7 @@ def test_gate_finds_the_exact_expert(one_is_right: Recordings) -> None:
 
 
 def test_reinforcement_finds_the_exact_expert(one_is_right: Recordings) -> None:
-    agent = PPO(steps=12_288, environments=32, rollout=32, batch=256)
+    agent = PPO(steps=12_288, environments=32, settings={"n_steps": 32, "batch_size": 256})
     training = one_is_right.select(split="train")
     agent.fit(training, "CONSUMER", seed=0)  # with the scale of the reward given above: LINEAR has no error here
     agent.fitted_on = drives(training)
@@ -71,9 +75,10 @@ def test_reinforcement_finds_the_exact_expert(one_is_right: Recordings) -> None:
     "create",
     [
         lambda: Mixo(epochs=1, min_updates=30),
-        lambda: PPO(steps=1024, environments=8, rollout=64, batch=256),
+        lambda: PPO(steps=1024, environments=8, settings={"batch_size": 256, "n_epochs": 5}),
+        lambda: DQN(steps=256, environments=8, settings={"batch_size": 32, "learning_starts": 64}),
     ],
-    ids=["MIXO", "PPO"],
+    ids=["MIXO", "PPO", "DQN"],
 )
 def test_the_seed_alone_decides_what_is_learned(create: Callable[[], Policy]) -> None:
     recordings = synthetic_recordings(0, scenes=4, steps=30)
@@ -118,21 +123,53 @@ def test_the_papers_gate_drops_a_tenth_after_either_hidden_layer() -> None:
     assert [layer.p for layer in network if isinstance(layer, nn.Dropout)] == [0.1, 0.1]
 
 
-def test_kept_matrices_act_as_the_trained_model() -> None:
-    import stable_baselines3
-
-    from mixo_env.envs.sb3 import MixoVecEnv
-
+@pytest.mark.parametrize("name", AGENTS)
+def test_kept_matrices_act_as_the_trained_model(name: str) -> None:
     recordings = synthetic_recordings(3, scenes=2)
-    environment = MixoVecEnv(num_envs=4, recordings=recordings, split="all", observation="rich")
-    model = stable_baselines3.PPO("MlpPolicy", environment, n_steps=8, batch_size=32, n_epochs=1, seed=0, device="cpu")
+    agent = AGENTS[name](environments=4, settings={"n_steps": 16, "batch_size": 64} if name == "PPO" else {})
+    agent.start(recordings.voters("CONSUMER"))
+    agent.standardise_by(recordings, "CONSUMER")
+    environment = agent.environment(recordings, "CONSUMER")
+    model = agent.model(environment, seed=0)
     model.learn(64)
+    agent.take(model)
     replay = Replay(recordings, track="CONSUMER")
     replay.reset(np.arange(2))
-    seen = flat(replay.observe())
+    observation = replay.observe()
+    seen = agent._standardise(flat(observation))
     assert seen.shape[1] == environment.observation_space.shape[0]
-    expected, _ = model.predict(seen, deterministic=True)
-    np.testing.assert_allclose(np.clip(mean_action(actor_layers(model.policy), seen), -1, 1), expected, atol=1e-5)
+    action, _ = model.predict(seen, deterministic=True)
+    one_expert = name == "DQN"
+    expected = np.eye(5)[action] if one_expert else softmax(LOGIT_SCALE * action)
+    np.testing.assert_allclose(agent.act(observation), expected, atol=1e-5)
+
+
+def test_an_agent_of_the_papers_observation_sees_nothing_else() -> None:
+    recordings = synthetic_recordings(3, scenes=2, steps=40)
+    agent = PPO(steps=64, environments=4, observation="paper", settings={"n_steps": 8, "batch_size": 32})
+    prepare(agent, recordings, "CONSUMER")
+    replay = Replay(recordings, track="CONSUMER")
+    replay.reset(np.arange(2))
+    observation = {quantity.name: replay.observe()[quantity.name] for quantity in PAPER}
+    assert agent.act(observation).shape == (2, 5)
+    assert agent.sees == "paper"
+
+
+def test_a_training_that_goes_astray_is_one_line() -> None:
+    recordings = synthetic_recordings(3, scenes=2, steps=40)
+    wild = PPO(steps=256, environments=4, settings={"n_steps": 8, "batch_size": 32, "learning_rate": 1e30})
+    with pytest.raises(PolicyError, match=r"PPO: training .*: lower its learning_rate") as caught:
+        prepare(wild, recordings, "CONSUMER")
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{"gamma": 1.5}, {"gamma": np.nan}, {"steps": 0}, {"reward": "abss"}, {"observation": "all"}],
+)
+def test_settings_without_sense_are_one_line(changes: dict[str, Any]) -> None:
+    with pytest.raises(ConfigurationError, match=next(iter(changes))):
+        PPO(**changes)
 
 
 def test_flat_observation_is_that_of_the_environment() -> None:

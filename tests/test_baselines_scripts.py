@@ -21,7 +21,7 @@ SMALL = {
     "robust.py": ("--policy", "MEDIAN"),
     "oracle.py": ("--policy", "ORACLE HULL"),
     "mixo.py": ("--min-updates", "1", "--seed", "1"),
-    "rl.py": ("--steps", "1024", "--environments", "32", "--rollout", "32"),
+    "rl.py": ("--steps", "1024", "--environments", "16", "--parts", "1"),
     "budget.py": ("--on", "CAM_FRONT", "CAM_BACK"),
 }
 """Script -> arguments that show a variant and keep it short."""

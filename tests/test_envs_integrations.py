@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shlex
 import subprocess
 import sys
@@ -17,7 +18,7 @@ from gymnasium.wrappers import vector as vector_wrappers
 
 import mixo_env
 from mixo_env.envs.wrappers import Standardise, standardise, transformed
-from mixo_env.errors import ConfigurationError, PolicyError
+from mixo_env.errors import ConfigurationError, PolicyError, RecordingError
 from mixo_env.recordings.store import load_recordings
 from tests.synthetic import synthetic_recordings
 
@@ -227,6 +228,42 @@ def test_the_example_writes_episodes_of_linear(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     scenes = load_recordings().select(split="train").scenes
     assert f"{len(scenes)} episodes, {sum(scene.rows - 1 for scene in scenes)} steps" in done.stdout
+
+
+def test_a_reward_that_is_no_number_ends_training_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    from stable_baselines3 import PPO
+
+    from mixo_env.envs.sb3 import MixoVecEnv
+
+    env = MixoVecEnv(num_envs=2, recordings=RECORDINGS)
+    step = env.env.step
+
+    def broken(actions: Any) -> Any:
+        observation, reward, *rest = step(actions)
+        reward[1] = np.nan
+        return observation, reward, *rest
+
+    monkeypatch.setattr(env.env, "step", broken)
+    with pytest.raises(RecordingError, match=r"^scene-\d+: expected finite rewards, got NaN: [^\n]*$"):
+        PPO("MlpPolicy", env, n_steps=8, batch_size=8, device="cpu").learn(16)
+
+
+@pytest.mark.integration
+@pytest.mark.parametrize(
+    ("example", "steps", "says"),
+    [
+        ("cleanrl_ppo.py", 61_440, r"untrained: ([.\d]+) deg\nafter 61440 steps: ([.\d]+) deg"),
+        ("vector_loop.py", 2_000_000, r"2000896 steps, ([.\d]+) M a second, mean reward -([.\d]+)"),
+    ],
+)
+def test_examples_of_loops_of_ones_own(example: str, steps: int, says: str, tmp_path: Path) -> None:
+    script = [sys.executable, str(ROOT / "examples" / example), str(steps)]
+    done = subprocess.run(script, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    found = re.fullmatch(says, done.stdout.strip())
+    assert found, done.stdout
+    if example == "cleanrl_ppo.py":
+        assert float(found[2]) < 0.9 * float(found[1])
 
 
 @pytest.mark.integration

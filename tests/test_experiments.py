@@ -19,6 +19,7 @@ from mixo_env.policies.fitting import prepare
 from mixo_env.policies.gate import Mixo
 from mixo_env.policies.playing import play
 from mixo_env.policies.registry import POLICIES, create, names
+from mixo_env.policies.reinforcement import AGENTS
 from mixo_env.policies.single import Single
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.schema import VehicleConstants
@@ -28,7 +29,7 @@ from tests.synthetic import synthetic_recordings
 ELSEWHERE = synthetic_recordings(9)
 """Drives on which nothing is scored."""
 
-QUICK = tuple(name for name in POLICIES if name not in ("MIXO", "PPO"))
+QUICK = tuple(name for name in POLICIES if name not in ("MIXO", *AGENTS))
 
 
 @pytest.fixture(scope="module")

@@ -12,6 +12,7 @@ import pytest
 from mixo_env.cli.main import main
 from mixo_env.errors import ConfigurationError, OutputError, PolicyError, RecordingError
 from mixo_env.experts.expert import State
+from mixo_env.leaderboard.board import requested, shown_in
 from mixo_env.leaderboard.crossvalidation import CrossValidation, Trial
 from mixo_env.leaderboard.evaluation import rollout
 from mixo_env.policies.fitting import prepare
@@ -157,3 +158,18 @@ def test_an_expert_that_never_tells_anything_is_done_without(recordings: Recordi
     assert np.isfinite(played[tested["step"] > 0]).all()
     policy.save(tmp_path)
     np.testing.assert_array_equal(rollout(load(tmp_path), tested, "VISION").yaw_increment_rad, played)
+
+
+def test_slow_agents_are_fitted_for_one_fold_of_one_track_and_ppo_for_all(recordings: Recordings) -> None:
+    division = CrossValidation(recordings, Trial(seeds=2))
+    pieces = division.pieces(("PPO", "SAC"), ("VISION", "CONSUMER"))
+    assert [piece for piece in pieces if piece[0] == "SAC"] == [
+        ("SAC", "CONSUMER", division.folds[-1], k) for k in (0, 1)
+    ]
+    assert len(pieces) == 2 + 2 * 2 * len(division.folds)
+    assert shown_in(recordings, "CONSUMER", ("PPO", "SAC")) == ("PPO", "SAC")
+    assert shown_in(recordings, "VISION", ("PPO", "SAC")) == ("PPO",)
+    with pytest.raises(
+        ConfigurationError, match="SAC: shown in track CONSUMER alone, got --tracks VISION: add CONSUMER"
+    ):
+        requested(recordings, ["VISION"], ["SAC"])

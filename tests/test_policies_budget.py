@@ -10,7 +10,17 @@ import pytest
 from mixo_env.envs.budget import BudgetReplay
 from mixo_env.envs.stepping import TRUTH
 from mixo_env.errors import ConfigurationError, PolicyError
-from mixo_env.policies.budget import Actions, BudgetPolicy, CameraSet, LinearByPattern, greedy_order, play
+from mixo_env.policies.budget import (
+    Actions,
+    BudgetPolicy,
+    CameraSet,
+    LinearByPattern,
+    Played,
+    best_set,
+    greedy_order,
+    play,
+    play_sets,
+)
 from mixo_env.recordings.collection import Recordings
 from tests.synthetic import synthetic_recordings
 
@@ -82,11 +92,38 @@ def test_a_set_costs_its_cameras_and_none_costs_nothing(recordings: Recordings, 
         CameraSet(linear, ("CAM_NONE",))
 
 
-def test_the_greedy_order_begins_with_the_best_single_camera(recordings: Recordings, linear: LinearByPattern) -> None:
-    order = greedy_order(recordings, TRACK, linear, 3)
-    assert sorted(order) == sorted(linear.cameras)
-    alone = {
-        camera: play(CameraSet(linear, (camera,)), recordings, TRACK, split="train").yaw_rmse_deg.mean()
-        for camera in linear.cameras
-    }
-    assert order[0] == min(alone, key=alone.__getitem__)
+def outcome(yaw_rmse_deg: float, cost_ms: float, yaw_reward: float) -> Played:
+    return Played(*(np.array([value]) for value in (1.0, yaw_rmse_deg, cost_ms, yaw_reward)))
+
+
+SETS = {
+    (): outcome(0.9, 0.0, -3.0),
+    ("A",): outcome(0.5, 20.0, -1.5),
+    ("B",): outcome(0.4, 20.0, -1.4),
+    ("C",): outcome(0.6, 20.0, -2.0),
+    ("A", "B"): outcome(0.35, 40.0, -1.3),
+    ("A", "C"): outcome(0.1, 40.0, -1.2),
+    ("B", "C"): outcome(0.3, 40.0, -1.25),
+    ("A", "B", "C"): outcome(0.09, 60.0, -1.1),
+}
+
+
+def test_the_greedy_order_adds_what_takes_away_most_error() -> None:
+    assert greedy_order(SETS) == ["B", "C", "A"]  # not the best pair, A and C
+
+
+@pytest.mark.parametrize(("price", "on"), [(0.0, ("A", "B", "C")), (0.006, ("A", "C")), (0.05, ("B",)), (0.1, ())])
+def test_the_best_set_of_a_price_earns_most(price: float, on: tuple[str, ...]) -> None:
+    assert best_set(SETS, price) == on
+
+
+def test_every_set_is_played_on_all_scenes(recordings: Recordings, linear: LinearByPattern) -> None:
+    training = recordings.select(folds=[0, 1, 2])
+    sets = play_sets(training, TRACK, linear)
+    assert len(sets) == 2 ** len(linear.cameras)
+    assert all(len(played.cost_ms) == 3 for played in sets.values())
+    assert (sets[()].cost_ms == 0.0).all()
+    np.testing.assert_allclose(
+        sets[linear.cameras[:1]].yaw_rmse_deg,
+        play(CameraSet(linear, linear.cameras[:1]), training, TRACK, split="all").yaw_rmse_deg,
+    )

@@ -16,6 +16,7 @@ from mixo_env.errors import ConfigurationError, PolicyError
 from mixo_env.leaderboard.board import build
 from mixo_env.leaderboard.report import to_markdown
 from mixo_env.policies.registry import POLICIES
+from mixo_env.policies.reinforcement import AGENTS
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.sequence_files import Reading
 from mixo_env.recordings.sequences import SequenceRules, recordings_from_trajectories
@@ -23,7 +24,7 @@ from mixo_env.recordings.store import save_recordings
 from tests.odometry_files import RATE_HZ, write_set
 
 REAL = Path(os.environ.get("MIXO_REAL_DATA", "/nonexistent"))
-QUICK = [name for name in POLICIES if name not in ("PPO", "HIGHEST MATCH")]
+QUICK = [name for name in POLICIES if name not in (*AGENTS, "HIGHEST MATCH")]
 
 
 def recorded(root: Path, experts: int, sequences: int = 3, counts: bool = False, **rules) -> Recordings:

@@ -22,6 +22,7 @@ from mixo_env.leaderboard.sentences import title
 from mixo_env.leaderboard.trajectories import ways
 from mixo_env.nuscenes.selections import CAMERAS
 from mixo_env.policies.registry import names
+from mixo_env.policies.reinforcement import AGENTS
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.fitting import with_fits
 from mixo_env.recordings.importing import with_imported, without
@@ -109,7 +110,7 @@ def test_headline_tracks_keep_their_bits(bare: Recordings, recordings: Recording
 
 def test_headline_tables_keep_their_bits(bare: Recordings, recordings: Recordings) -> None:
     """Every number of every row: policies, oracles, floors, comparisons, letters, conditions."""
-    rows = [name for name in names(bare) if name not in ("MIXO", "PPO")] + ["PERFECT YAW", "NOISE FLOOR"]
+    rows = [name for name in names(bare) if name not in ("MIXO", *AGENTS)] + ["PERFECT YAW", "NOISE FLOOR"]
     tables = [to_json(build(each, policies=rows, tracks=HEADLINE_TRACKS))["tracks"] for each in (recordings, bare)]
     assert json.dumps(tables[0]) == json.dumps(tables[1])  # NaN is NaN here
 

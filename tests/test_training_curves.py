@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +22,11 @@ from tests.synthetic import synthetic_recordings
 
 RECORDINGS = synthetic_recordings(scenes=8, steps=40)
 TRAINING, VALIDATION = RECORDINGS.select(folds=[0, 1, 2]), RECORDINGS.select(folds=[3])
-SMALL: dict[str, Any] = {"steps": 128, "environments": 4, "rollout": 16, "batch": 32, "epochs": 2}
+SMALL: dict[str, Any] = {
+    "steps": 128,
+    "environments": 4,
+    "settings": {"n_steps": 16, "batch_size": 32, "n_epochs": 2},
+}
 
 
 def fitted(made: list[Curves] | None = None) -> PPO:
@@ -67,7 +72,7 @@ def test_mixo_train_writes_curves_of_the_held_out_fold(tmp_path: Path, monkeypat
         EventAccumulator,
     )
 
-    monkeypatch.setattr(PPO.__init__, "__kwdefaults__", {**(PPO.__init__.__kwdefaults__ or {}), **SMALL})
+    monkeypatch.setattr(PPO, "usual", replace(PPO.usual, **SMALL))
     save_recordings(RECORDINGS, tmp_path / "drives")
     command = ["train", "PPO", "--recordings", str(tmp_path / "drives"), "--tracks", "CONSUMER"]
     assert main([*command, "--out", str(tmp_path / "weights"), "--tensorboard", str(tmp_path / "curves")]) == 0

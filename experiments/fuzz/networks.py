@@ -29,8 +29,9 @@ from experiments.fuzz.stores import VALUES
 from mixo_env.envs.replay import Replay
 from mixo_env.errors import MixoError
 from mixo_env.policies.agent import QUANTITIES, Agent, Asking
+from mixo_env.policies.networks import KINDS
 from mixo_env.policies.policy import Observation
-from mixo_env.policies.sb3 import KINDS, Network, read_network
+from mixo_env.policies.sb3 import Network, read_network
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.store import load_recordings
 

@@ -18,7 +18,7 @@ from stable_baselines3.common.vec_env import VecEnv
 from mixo_env import ENVIRONMENTS
 from mixo_env.envs.odometry import MixoOdometryVectorEnv, entry
 from mixo_env.envs.wrappers import Transform, flat_box
-from mixo_env.errors import ConfigurationError, unknown
+from mixo_env.errors import ConfigurationError, RecordingError, unknown
 
 Indices = None | int | Iterable[int]
 
@@ -78,6 +78,11 @@ class MixoVecEnv(VecEnv):
     def step_wait(self) -> Any:
         """Play the step: observations, rewards, dones, infos."""
         observation, reward, _, done, info = self.env.step(self._actions)
+        if not np.isfinite(reward).all():  # else a network learns it, and torch complains of something else much later
+            scene = self.reset_infos[np.flatnonzero(~np.isfinite(reward))[0]]["scene"]
+            raise RecordingError(
+                f"{scene}: expected finite rewards, got NaN: its true poses are broken, record it anew"
+            )
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         if self._step_infos:
             self._tell(infos, info)

@@ -15,6 +15,7 @@ from mixo_env.leaderboard.evaluation import FLOORS, Truth, noisy_truth
 from mixo_env.leaderboard.noise import NOISE_FLOOR
 from mixo_env.leaderboard.rows import Row, Scorer
 from mixo_env.policies.linear import Linear
+from mixo_env.policies.registry import POLICIES
 from mixo_env.policies.registry import names as policy_names
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.folds import OUT_OF_DISTRIBUTION
@@ -146,15 +147,21 @@ def requested(
         recordings.voters(track)  # raises
     chosen = choose(policies, (*policy_names(recordings), *outside, *FLOORS))
     if not any(shown_in(recordings, track, chosen) for track in tracks or recordings.distinct_tracks):
+        home = " and ".join(dict.fromkeys(_home(row, recordings) for row in chosen))
         raise ConfigurationError(
-            f"{', '.join(chosen)}: shown in track {UNEQUAL} alone, got --tracks {' '.join(tracks)}: add {UNEQUAL}"
+            f"{', '.join(chosen)}: shown in track {home} alone, got --tracks {' '.join(tracks)}: add {home}"
         )
     return chosen
 
 
 def shown_in(recordings: Recordings, track: str, rows: Sequence[str]) -> tuple[str, ...]:
-    """Those of ``rows`` that the table of a track has: experts of other families are in that of UNEQUAL alone."""
-    return tuple(row for row in rows if track == UNEQUAL or row not in recordings.further)
+    """Those of ``rows`` that the table of a track has: experts of other families and slow agents are in one alone."""
+    return tuple(row for row in rows if _home(row, recordings) in ("", track))
+
+
+def _home(row: str, recordings: Recordings) -> str:
+    """The only track that shows a row; "": all."""
+    return UNEQUAL if row in recordings.further else POLICIES[row].only_track if row in POLICIES else ""
 
 
 def choose(asked: Sequence[str], valid: Sequence[str]) -> tuple[str, ...]:

@@ -285,6 +285,7 @@ class CrossValidation:
             for name in names
             if name not in FLOORS and self._kind(name).learns
             for track in tracks
+            if self._kind(name).only_track in ("", track)
             for fold in (self.folds[-1:] if self.expensive(name) else self.folds)
             for k in range(self.trial.seeds)
         )

@@ -24,7 +24,7 @@ from mixo_env.envs.wrappers import Transform
 from mixo_env.errors import ConfigurationError
 from mixo_env.leaderboard.evaluation import Truth, with_wheels
 from mixo_env.policies.policy import Policy
-from mixo_env.policies.reinforcement import PPO
+from mixo_env.policies.reinforcement import AGENTS, Reinforced
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.truths import truths_of
 
@@ -49,8 +49,8 @@ def check_watched(rows: Sequence[str]) -> None:
         ConfigurationError: without TensorBoard, or when Stable-Baselines3 trains none of them.
     """
     require_tensorboard()
-    if PPO.name not in rows:
-        raise ConfigurationError(f"curves: none of {', '.join(rows)} is trained by Stable-Baselines3: name {PPO.name}")
+    if not AGENTS.keys() & set(rows):
+        raise ConfigurationError(f"curves: none of {', '.join(rows)} is trained by Stable-Baselines3: name PPO")
 
 
 class Curves(BaseCallback):
@@ -152,7 +152,6 @@ def watch(policy: Policy, folder: Path, validation: Recordings, track: str) -> N
         validation: scenes of the held-out fold.
         track: whose experts vote.
     """
-    if isinstance(policy, PPO):
-        policy.watch = lambda transform: Curves(
-            folder, validation, transform=transform, track=track, observation="rich"
-        )
+    if isinstance(policy, Reinforced):
+        options: dict[str, Any] = {"observation": policy.recipe.observation, "weights": policy.weights}
+        policy.watch = lambda transform: Curves(folder, validation, transform=transform, track=track, **options)

@@ -57,6 +57,7 @@ def conventions(board: Leaderboard) -> list[str]:
         f"RTE: mean over all pieces of path, starts 1 m apart; pieces (scenes) per length: {samples}.",
         f"{intervals} {_folds(board)}",
     ]
+    lines += _of_agents(board)
     lines += _of_imports(board)
     if board.headline != "exact" and not recordings.manifest.inertial:
         lines.append("Noise floor of the truth: unknown, no gyro is recorded.")
@@ -76,6 +77,18 @@ def conventions(board: Leaderboard) -> list[str]:
     if board.logs < RANKING_LOGS:
         lines.append(f"{size}: enough to see that everything works, claims no ranking (takes {RANKING_LOGS} logs).")
     return lines
+
+
+def _of_agents(board: Leaderboard) -> list[str]:
+    """Which observation the agents of reinforcement learning see."""
+    rows = [row for standings in board.standings for row in (*standings.rows, *standings.one_fold_rows)]
+    sees = {row.name: policy.sees for row in rows for policy in row.run.policies.values() if policy.sees}
+    found = [(one, [name for name in sees if sees[name] == one]) for one in sorted(set(sees.values()))]
+    what = {"paper": "the gate's x and the experts' yaw rates", "rich": "these and inliers, residuals, disagreement"}
+    return [
+        f"Learned from the environment's reward: {', '.join(names)}, shown its observation {one!r}: {what[one]}."
+        for one, names in found
+    ]
 
 
 def _of_imports(board: Leaderboard) -> list[str]:

@@ -20,9 +20,10 @@ from mixo_env.envs.stepping import TRUTH
 from mixo_env.errors import ConfigurationError, PolicyError, unknown
 from mixo_env.fusion import least_squares_weights
 from mixo_env.recordings.collection import Recordings
+from mixo_env.recordings.truths import for_learning
 
 Actions = NDArray[np.float32]
-Split = Literal["train", "test"]
+Split = Literal["train", "test", "all"]
 
 RAW_SCALE = 4.0
 """Of ``weights="raw"``: weights up to 4 fit into an action."""
@@ -58,8 +59,8 @@ class LinearByPattern:
     """
 
     def __init__(self, training: Recordings, track: str) -> None:
-        """Fit all sets."""
-        replay = BudgetReplay(training, track=track)
+        """Fit all sets, to poses free of lag: those that the environment rewards."""
+        replay = BudgetReplay(for_learning(training), track=track)
         self.experts, self.cameras = replay.experts, replay.cameras
         self._columns = [self.experts.index(camera) for camera in self.cameras]
         truth = replay.table[:, TRUTH]
@@ -99,19 +100,6 @@ class CameraSet(BudgetPolicy):
         return np.concatenate([weights, np.where(awake, 1.0, -1.0)], axis=1).astype(np.float32)
 
 
-def greedy_order(recordings: Recordings, track: str, linear: LinearByPattern, fold: int) -> list[str]:
-    """Cameras by the yaw error they take away on the other folds than ``fold``, the best first."""
-    order: list[str] = []
-    while rest := [camera for camera in linear.cameras if camera not in order]:
-        tried = {camera: CameraSet(linear, (*order, camera)) for camera in rest}
-        errors = {
-            camera: play(policy, recordings, track, fold=fold, split="train").yaw_rmse_deg.mean()
-            for camera, policy in tried.items()
-        }
-        order.append(min(errors, key=errors.__getitem__))
-    return order
-
-
 @dataclass(frozen=True)
 class Played:
     """What came out, by scene.
@@ -120,11 +108,38 @@ class Played:
         ate_m: absolute trajectory error [m], ``(scenes,)``.
         yaw_rmse_deg: RMSE of one step's yaw increment [deg], ``(scenes,)``.
         cost_ms: mean cost [ms per step], ``(scenes,)``.
+        yaw_reward: mean reward of a step without its cost, ``(scenes,)``.
     """
 
     ate_m: NDArray[np.float64]
     yaw_rmse_deg: NDArray[np.float64]
     cost_ms: NDArray[np.float64]
+    yaw_reward: NDArray[np.float64]
+
+    def reward(self, price_per_ms: float) -> float:
+        """Mean reward of a step at a price, over all steps of scenes of equal weight."""
+        return float(np.mean(self.yaw_reward - price_per_ms * self.cost_ms))
+
+
+def play_sets(recordings: Recordings, track: str, linear: LinearByPattern) -> dict[tuple[str, ...], Played]:
+    """Every constant set of cameras, the smallest first, on all scenes of ``recordings``."""
+    sets = (s for count in range(len(linear.cameras) + 1) for s in itertools.combinations(linear.cameras, count))
+    return {on: play(CameraSet(linear, on), recordings, track, split="all") for on in sets}
+
+
+def greedy_order(sets: Mapping[tuple[str, ...], Played]) -> list[str]:
+    """Cameras by the yaw error they take away in what :func:`play_sets` returned, the best first."""
+    cameras = max(sets, key=len)
+    order: list[str] = []
+    while rest := [camera for camera in cameras if camera not in order]:
+        grown = {camera: tuple(c for c in cameras if c in (*order, camera)) for camera in rest}
+        order.append(min(rest, key=lambda camera: sets[grown[camera]].yaw_rmse_deg.mean()))
+    return order
+
+
+def best_set(sets: Mapping[tuple[str, ...], Played], price_per_ms: float) -> tuple[str, ...]:
+    """The constant set that earns most in what :func:`play_sets` returned."""
+    return max(sets, key=lambda on: sets[on].reward(price_per_ms))
 
 
 def play(
@@ -137,13 +152,15 @@ def play(
         recordings: of all folds: constants of the vehicles come from the folds that are not scored.
         track: who votes.
         fold: held out for testing.
-        split: "test": the scenes of ``fold``, "train": of the other folds.
+        split: "test": the scenes of ``fold``, "train": of the other folds, "all": of all.
 
     Raises:
         ConfigurationError: for a fold without scenes.
         PolicyError: when the policy's actions are none of the environment's.
     """
-    scenes = sum(scene.fold >= 0 and (scene.fold == fold) == (split == "test") for scene in recordings.scenes)
+    scenes = sum(
+        scene.fold >= 0 and (split == "all" or (scene.fold == fold) == (split == "test")) for scene in recordings.scenes
+    )
     if not scenes:
         raise ConfigurationError(f"fold: expected one with scenes in split {split!r}, got {fold}: use another")
     chosen = {"recordings": recordings, "track": track, "fold": fold, "split": split, "order": "fixed"}
@@ -151,18 +168,20 @@ def play(
     observation, _ = env.reset(seed=0)
     policy.reset(scenes)
     scores = {name: np.full(scenes, np.nan) for name in ("ate_m", "yaw_rmse_deg")}
-    running, cost_ms, steps = np.ones(scenes, np.bool_), np.zeros(scenes), np.zeros(scenes)
+    running = np.ones(scenes, np.bool_)
+    cost_ms, earned, steps = np.zeros((3, scenes))
     while running.any():
         actions = policy.act(observation)
         try:
-            observation, _, _, truncated, info = env.step(actions)
+            observation, reward, _, truncated, info = env.step(actions)
         except ConfigurationError as error:
             raise PolicyError(f"{type(policy).__name__}: {error}") from None
         cost_ms += np.where(running, info["cost_ms"], 0.0)
+        earned += np.where(running, reward - info["reward_cost"], 0.0)
         steps += running
         for i in np.flatnonzero(truncated & running):
             for name, values in scores.items():
                 values[i] = info["scores"][name][i]
         running &= ~truncated
     env.close()
-    return Played(scores["ate_m"], scores["yaw_rmse_deg"], cost_ms / steps)
+    return Played(scores["ate_m"], scores["yaw_rmse_deg"], cost_ms / steps, earned / steps)

@@ -34,6 +34,8 @@ class Policy(abc.ABC):
         learns: whether it is fitted on training scenes, anew for every fold. :meth:`fit` of others is never called.
         any_experts: what it learned names no expert, so it plays with others than those it was fitted with.
         lag: steps of the future that it sees; where it is not 0 the policy is privileged, and its name says so.
+        sees: of an agent trained in the environment, which of its observations it is shown; "" for all others.
+        only_track: too slow for all tracks: it has a row in this one alone; "": in all.
         expensive: too slow to fit for every fold; it is then tested on the last one only, and compared there.
         experts: those it weights, in the order of the weights; set by :meth:`start` or :meth:`load`.
         fitted_on: hashes of the drives it was fitted on, where it is refused; set by
@@ -45,7 +47,9 @@ class Policy(abc.ABC):
     learns: ClassVar[bool] = False
     any_experts: ClassVar[bool] = False
     lag: ClassVar[int] = 0
+    only_track: ClassVar[str] = ""
     expensive: ClassVar[bool] = False
+    sees: str = ""
     experts: tuple[str, ...] = ()
     fitted_on: frozenset[str] = frozenset()
 

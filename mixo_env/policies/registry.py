@@ -18,7 +18,7 @@ from mixo_env.policies.linear import Linear
 from mixo_env.policies.match import HighestMatch
 from mixo_env.policies.oracle import MulticameraGT, OracleAll, OracleHull
 from mixo_env.policies.policy import Policy
-from mixo_env.policies.reinforcement import PPO
+from mixo_env.policies.reinforcement import AGENTS
 from mixo_env.policies.robust import Huber, Mean, Median
 from mixo_env.policies.simplex import LinearSimplex
 from mixo_env.policies.single import Single
@@ -34,7 +34,7 @@ POLICIES: dict[str, type[Policy]] = {
     for policy in (
         *(HighestMatch, Mean, Median, Linear, LinearSimplex),
         *(InverseVariance, CovarianceIntersection, Huber, StudentT, Softmin, FixedShare, BiasFilter),
-        *(LinearGate, Mixo, Token, Tandem, PPO),
+        *(LinearGate, Mixo, Token, Tandem, *AGENTS.values()),
         *(Smoother, MulticameraGT, OracleAll, OracleHull),
     )
 }

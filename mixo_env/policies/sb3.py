@@ -8,58 +8,25 @@ from __future__ import annotations
 
 import io
 import json
-import re
 import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mixo_env.errors import ConfigurationError, PolicyError, printable
 from mixo_env.policies.agent import Asking
+from mixo_env.policies.networks import KINDS, Activation, Algorithm, Kind, Layers, deterministic_action, layer_names
 from mixo_env.policies.storage import LARGEST
-
-Algorithm = Literal["PPO", "A2C", "SAC", "TD3", "DQN"]
-Activation = Literal["tanh", "relu"]
-Layers = list[tuple[NDArray[np.float32], NDArray[np.float32]]]
 
 LARGEST_BYTES = 64 * 2**20
 """A member that unpacks to more is refused before it is unpacked; nets of this task have some 100 kB."""
 
 LARGEST_STATISTIC = 1e12
 """Mean, variance and clip of an observation beyond this would overflow the network."""
-
-
-@dataclass(frozen=True)
-class Kind:
-    """Where an algorithm keeps its actor, and SB3's default activation.
-
-    Attributes:
-        hidden: prefix of the hidden layers (all layers if ``head`` is empty).
-        head: name of the last layer.
-        activation: SB3's default of its ``MlpPolicy``.
-        squash: tanh after the last layer.
-        discrete: the greatest output is the choice.
-    """
-
-    hidden: str
-    head: str
-    activation: Activation
-    squash: bool = False
-    discrete: bool = False
-
-
-KINDS: dict[str, Kind] = {
-    "PPO": Kind("mlp_extractor.policy_net.", "action_net", "tanh"),
-    "A2C": Kind("mlp_extractor.policy_net.", "action_net", "tanh"),
-    "SAC": Kind("actor.latent_pi.", "actor.mu", "relu", squash=True),
-    "TD3": Kind("actor.mu.", "", "relu", squash=True),
-    "DQN": Kind("q_net.q_net.", "", "relu", discrete=True),
-}
-"""As stable-baselines3 names the tensors of ``MlpPolicy``."""
 
 
 @dataclass(frozen=True)
@@ -105,15 +72,7 @@ def read_network(path: Path, network: Network, asking: Asking) -> tuple[Callable
     def act(seen: NDArray[np.float32]) -> Any:
         if seen.shape[1] != layers[0][0].shape[1]:
             raise PolicyError(f"expected observations of {layers[0][0].shape[1]} numbers, got {seen.shape[1]}")
-        x = normalise(seen)
-        for weight, bias in layers[:-1]:
-            x = x @ weight.T + bias
-            x = np.tanh(x) if activation == "tanh" else np.maximum(x, 0.0)
-        weight, bias = layers[-1]
-        x = x @ weight.T + bias
-        if kind.discrete:
-            return np.argmax(x, axis=1)
-        return np.tanh(x) if kind.squash else np.clip(x, -1.0, 1.0)
+        return deterministic_action(kind, layers, normalise(seen), activation)
 
     return act, replace(asking, vectorised=True)
 
@@ -172,12 +131,13 @@ def _algorithm(path: Path, network: Network, tensors: dict[str, NDArray[np.float
     raise PolicyError(f"{path}: expected a network of {', '.join(KINDS)} with MlpPolicy, found none of their tensors")
 
 
-def _activation(path: Path, kind: Kind, data: dict[str, Any]) -> str:
+def _activation(path: Path, kind: Kind, data: dict[str, Any]) -> Activation:
     """As the plain text beside the pickled ``policy_kwargs`` has it, else SB3's default."""
     kwargs = data.get("policy_kwargs")
     if not isinstance(kwargs, dict) or "activation_fn" not in kwargs:
         return kind.activation
-    for name, ending in (("tanh", ".Tanh'>"), ("relu", ".ReLU'>")):
+    endings: dict[Activation, str] = {"tanh": ".Tanh'>", "relu": ".ReLU'>"}
+    for name, ending in endings.items():
         if str(kwargs["activation_fn"]).endswith(ending):
             return name
     raise PolicyError(f"{path}: expected tanh or relu between layers, got another activation: give it as an option")
@@ -187,11 +147,8 @@ def _layers(path: Path, kind: Kind, tensors: dict[str, NDArray[np.float32]]) -> 
     """Dense layers in order, checked to fit each other."""
     if any(name.split(".")[0] == "features_extractor" for name in tensors):
         raise PolicyError(f"{path}: expected MlpPolicy on flat observations, got a features extractor: train without")
-    pattern = re.compile(re.escape(kind.hidden) + r"(\d+)\.weight")
-    numbers = sorted(int(found[1]) for name in tensors if (found := pattern.fullmatch(name)))
-    names = [f"{kind.hidden}{number}" for number in numbers] + ([kind.head] if kind.head else [])
     layers: Layers = []
-    for name in names:
+    for name in layer_names(kind, tensors):
         weight, bias = tensors.get(f"{name}.weight"), tensors.get(f"{name}.bias")
         fits = weight is not None and bias is not None and weight.ndim == 2 and bias.shape == weight.shape[:1]
         if weight is None or bias is None or not fits or (layers and weight.shape[1] != len(layers[-1][1])):

@@ -105,6 +105,6 @@ def _weights(subject: Subject, results: Path) -> Iterator[str]:
 
 def _cost(subject: Subject, results: Path) -> Iterator[str]:
     points = points_of(subject)
-    yield cost_table(subject, points).markdown()
+    yield cost_table(subject.recordings, subject.track, points).markdown()
     draw_cost(points, results / OTHER_FIGURES[-1])
     yield _shown("Accuracy against cost.", OTHER_FIGURES[-1])
