@@ -32,7 +32,8 @@ def test_finished_pictures_survive_the_way_to_light_and_back() -> None:
 
 def test_equal_names_give_equal_drops_and_other_cameras_others() -> None:
     first, again, other = (drops_on(OUTSIDE, seed, 20.0, FOCAL) for seed in ((1, 2), (1, 2), (1, 3)))
-    assert np.array_equal(first.x, again.x) and np.array_equal(first.gone_s, again.gone_s)
+    assert np.array_equal(first.x, again.x)
+    assert np.array_equal(first.gone_s, again.gone_s)
     assert len(first.x) != len(other.x) or not np.array_equal(first.x, other.x)
 
 
@@ -76,7 +77,8 @@ def test_heavy_drops_run_down_and_swallowed_ones_swell_the_other() -> None:
     runs = np.flatnonzero(np.isfinite(drops.run_s))
     assert len(runs) > 0
     heavy = FOCAL / OUTSIDE.distance_mm * 2.0
-    assert (drops.radius[runs] > heavy).all() and (np.delete(drops.radius, runs) <= heavy).all()
+    assert (drops.radius[runs] > heavy).all()
+    assert (np.delete(drops.radius, runs) <= heavy).all()
     moving = runs[drops.gone_s[runs] > drops.run_s[runs] + 0.05]
     for n in moving[:3]:
         y = [drops.at(drops.run_s[n] + later)[:, 1].max() for later in (0.0, 0.04)]
@@ -100,7 +102,8 @@ def test_a_drop_shows_the_picture_upside_down() -> None:
     image = np.full((450, 800, 3), 40, np.uint8)
     image[:225] = 220  # sky above
     out = add_drops(image, _one(0.5, 0.28125, 0.12, 0.02), 1.0)
-    assert out[225 - 60, 400, 0] < 60 and out[225 + 60, 400, 0] > 200
+    assert out[225 - 60, 400, 0] < 60
+    assert out[225 + 60, 400, 0] > 200
     assert (out[:, :200] == image[:, :200]).all()
 
 
@@ -138,7 +141,8 @@ def test_glare_on_a_finished_picture_is_a_veil_that_grows_with_its_strength() ->
     sun = _toward(650.0, 40.0, k)
     some, more = (add_sun(image, k, sun, strength) for strength in (1.0, 3.0))
     assert (add_sun(image, k, sun, 0.0) == image).all()
-    assert (some >= image).all() and (more >= some).all()
+    assert (some >= image).all()
+    assert (more >= some).all()
     assert (more[30:50, 640:660] == 255).all(), "clipped around the sun"
     far = np.s_[300:, :200]
     assert more[far].std() < some[far].std() < image[far].std()

@@ -73,6 +73,7 @@ def world_of(textures: Sequence[Bytes], patches: Sequence[Patch]) -> World:
         sun=SUN,
         static=packed([mesh_of([patch]) for patch in patches], SUN),
         vehicles={},
+        people={},
         texels=texels,
         table=table,
         detail=detail,

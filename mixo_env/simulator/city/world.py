@@ -14,6 +14,7 @@ from mixo_env.simulator.city.furniture import LAMP_M, street_lamp, traffic_light
 from mixo_env.simulator.city.ground import GROUND_PERIOD_M, ground_texture
 from mixo_env.simulator.city.materials import city_materials
 from mixo_env.simulator.city.mesh import Mesh, PatchSet, mesh_of, packed, quad
+from mixo_env.simulator.city.people_models import people_models
 from mixo_env.simulator.city.shadows import EXTENT_M, Shadows
 from mixo_env.simulator.city.streets import HALF_CITY_BLOCKS
 from mixo_env.simulator.city.textures import Atlas, detail_tile, quads, reductions, sky_tile
@@ -34,6 +35,7 @@ class World:
         sun: ``(3,)`` unit vector towards the sun, map frame.
         static: patches of everything that never moves.
         vehicles: meshes of vehicles by kind and colour, x forward, origin at the centre on the ground.
+        people: meshes of people by kind and look, one for every pose.
         texels, table: packed atlas, see ``Atlas.packed``.
         detail: fine-grain tile with reductions as :func:`quads`, one after the other.
         detail_start: first entry of each reduction.
@@ -48,6 +50,7 @@ class World:
     sun: NDArray[np.float64]
     static: PatchSet
     vehicles: dict[tuple[str, int], Mesh]
+    people: dict[tuple[str, int], list[Mesh]]
     texels: NDArray[np.uint32]
     table: NDArray[np.int64]
     detail: NDArray[np.uint32]
@@ -134,6 +137,7 @@ def build_world(seed: int, plan: CityPlan = _USUAL) -> World:
     ground = atlas.add(ground_texture(texture_rng, plan.ground_side))
     materials = city_materials(atlas, texture_rng, ground, ground_per_m, plan.variety, plan.grain)
     vehicles = vehicle_models(atlas, texture_rng, ground, ground_per_m)
+    people = people_models(atlas, np.random.default_rng([seed, 5]), ground, ground_per_m)
     azimuth, elevation = sun_rng.uniform(0.0, 2.0 * np.pi), np.deg2rad(sun_rng.uniform(30.0, 62.0))
     sun = np.array([np.cos(azimuth) * np.cos(elevation), np.sin(azimuth) * np.cos(elevation), np.sin(elevation)])
     trees = [tree(materials, tree_rng) for _ in range(12)]
@@ -151,6 +155,7 @@ def build_world(seed: int, plan: CityPlan = _USUAL) -> World:
         sun=sun,
         static=packed(city.groups, sun),
         vehicles=vehicles,
+        people=people,
         texels=texels,
         table=table,
         detail=detail,

@@ -19,6 +19,7 @@ from mixo_env.simulator.config import SimulationConfig
 from mixo_env.simulator.drive.clock import SceneTimes, scene_times
 from mixo_env.simulator.drive.drive import DRIVE_RATE_HZ, Drive, plan_drive
 from mixo_env.simulator.drive.localisation import localise
+from mixo_env.simulator.drive.people import Person, stage_people
 from mixo_env.simulator.drive.scenario import LOCATION, LogPlan, ScenePlan, generator
 from mixo_env.simulator.drive.traffic import Vehicle, stage_traffic
 from mixo_env.simulator.drive.vehicle_bus import bus_messages
@@ -40,6 +41,7 @@ class SimulatedScene:
         times: when the sensors fire.
         drive: the true motion.
         vehicles: all others.
+        people: on foot and on bicycles.
         messages: of the CAN bus, by name.
     """
 
@@ -47,6 +49,7 @@ class SimulatedScene:
     times: SceneTimes
     drive: Drive
     vehicles: tuple[Vehicle, ...]
+    people: tuple[Person, ...]
     messages: dict[str, list[dict[str, Any]]]
 
 
@@ -61,6 +64,7 @@ def simulate_scene(config: SimulationConfig, log: LogPlan, plan: ScenePlan, root
     drive = scene_drive(config, log, plan)
     times = scene_times(generator(config, "clock", plan.number), plan.start_us, config.seconds)
     vehicles = stage_traffic(generator(config, "traffic", plan.number), drive, config.seconds)
+    people = stage_people(generator(config, "people", plan.number), drive, config.seconds, vehicles, log.weather)
     localisation = localise(generator(config, "localisation", plan.number), drive, log.localisation_lag_s)
     first_us, last_us = int(times.sample_us[0]), int(times.sample_us[-1])
     bus_rng = generator(config, "bus", plan.number)
@@ -88,7 +92,7 @@ def simulate_scene(config: SimulationConfig, log: LogPlan, plan: ScenePlan, root
         can_bus=None,
         exact=_exact(drive, plan, config.seconds),
     )
-    return SimulatedScene(scene, times, drive, vehicles, messages)
+    return SimulatedScene(scene, times, drive, vehicles, people, messages)
 
 
 def pictures(
@@ -113,6 +117,7 @@ def pictures(
                     open_s + shutter_s,
                 ),
                 [vehicle.state(open_s + 0.5 * shutter_s) for vehicle in simulated.vehicles],
+                people=[person.state(open_s + 0.5 * shutter_s) for person in simulated.people],
                 gain=gain,
                 noise_seed=int(noise.integers(2**31)),
             )

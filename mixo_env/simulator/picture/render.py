@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from mixo_env.errors import ConfigurationError
 from mixo_env.nuscenes.scene import CameraCalibration
+from mixo_env.simulator.city.people import PersonState
 from mixo_env.simulator.city.shadows import EXTENT_M
 from mixo_env.simulator.city.textures import quads
 from mixo_env.simulator.city.vehicles import VehicleState
@@ -38,6 +39,7 @@ RADIANCE_UNIT = 32768.0
 GLARE = 0.12
 """Share of the light above white that lens and air scatter at night."""
 
+_PEOPLE_SEEN_M = 100.0  # farther ones are a few pixels high
 _WIDEST_PX = 1600  # the table of noise is as wide as such a row of pixels needs
 _OFFSET_STEP = 2**32 // NOISE_SIDE  # of 32 random bits, the highest ten
 _VIGNETTE = 0.22  # cos^4 of the angle to the optical axis, whose squared tangent this is at the edge
@@ -125,6 +127,7 @@ class Renderer:
         end: CameraPose,
         vehicles: Sequence[VehicleState] = (),
         *,
+        people: Sequence[PersonState] = (),
         gain: float | None = None,
         noise_seed: int = 0,
     ) -> RenderedImage:
@@ -135,6 +138,7 @@ class Renderer:
             start: of the camera when the shutter opens.
             end: when it closes, ``weather.shutter_s`` later.
             vehicles: at the middle of the exposure, the instant that the picture shows.
+            people: likewise.
             gain: from the previous picture of this camera, ``None`` for the first (exposed for itself).
             noise_seed: seed of the sensor noise; different for every picture.
         """
@@ -142,7 +146,8 @@ class Renderer:
         memory = self._memory(calibration.height, calibration.width)
         x_m, y_m = (0.5 * (start.position_m.item(i) + end.position_m.item(i)) for i in range(2))
         near = [v for v in vehicles if math.hypot(v.x_m - x_m, v.y_m - y_m) < weather.sight_m]
-        states, models = moving_states(near), self._fleet.models(near)
+        about = [p for p in people if math.hypot(p.x_m - x_m, p.y_m - y_m) < _PEOPLE_SEEN_M]
+        states, models = moving_states(near, about), self._fleet.models(near, about)
         rotation, position, motion = during_exposure(
             start.rotation_map_from_camera,
             start.position_m,
@@ -161,7 +166,8 @@ class Renderer:
         # Rain.
         if weather.wetness > 0.0:
             mirror_road(radiance, seen, view, world.sky, weather.wetness, memory.images)
-            puffs = spray_puffs(states, self._fleet.size_m[models], view, weather.wetness)
+            wheels = slice(len(near))  # people come after the vehicles and throw nothing up
+            puffs = spray_puffs(states[wheels], self._fleet.size_m[models[wheels]], view, weather.wetness)
             add_spray(radiance, seen.depth, puffs, view, world.sky, self._air)
         # Exposure control, glare and the sensor.
         mean = mean_radiance(radiance) / RADIANCE_UNIT
