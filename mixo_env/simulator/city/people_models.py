@@ -32,6 +32,7 @@ from mixo_env.simulator.city.textures import Atlas, Bytes, plain, rgba
 
 _TAU = 2.0 * math.pi
 _SKINS = ((0.75, 0.52, 0.40), (0.55, 0.36, 0.25), (0.30, 0.18, 0.12), (0.80, 0.60, 0.48))
+_HAIRS = ((0.02, 0.02, 0.02), (0.09, 0.05, 0.03), (0.22, 0.15, 0.07), (0.30, 0.30, 0.30))
 _CLOTHES = (
     (0.05, 0.06, 0.09),
     (0.35, 0.06, 0.06),
@@ -162,7 +163,8 @@ def _cyclist(look: _Clothes, bicycle: Surface, phase: float) -> list[Patch]:
     side = (bicycle, (_AXLE_M + _WHEEL_M, 0.0, high), (-2.0 * (_AXLE_M + _WHEEL_M), 0.0, 0.0), (0.0, 0.0, -high))
     patches = [quad(*side)]
     for x in (-_AXLE_M, _AXLE_M):  # tyres as they are seen from ahead and from behind
-        patches += _bar(look.shoes, (x, 2.0 * _WHEEL_M), (x, 0.0), 0.0, (0.3, 0.035))
+        tyre = ((0.0, 0.04, 0.0), (0.0, 0.0, -2.0 * _WHEEL_M))
+        patches.append(quad(replace(look.shoes, shape=TWO_SIDED), (x, -0.02, 2.0 * _WHEEL_M), *tyre))
     patches += _bar(
         look.shoes,
         (_HAND_AT[0] - 0.02, _HAND_AT[1] - 0.02),
@@ -233,7 +235,7 @@ def people_models(
         )
         look = _Clothes(
             replace(cloth, tint=skin),
-            replace(cloth, tint=tuple(0.12 * part for part in rng.uniform(0.2, 1.0, 3).tolist())),
+            replace(cloth, tint=_HAIRS[int(rng.integers(len(_HAIRS)))]),
             replace(cloth, tint=top),
             replace(cloth, tint=legs),
             replace(cloth, tint=(0.06, 0.06, 0.06)),

@@ -95,6 +95,8 @@ class CityPlan:
         grain: strength of the fine grain of all surfaces; 0.3 gives a city with little texture.
         blank_sides: sides of blocks that are one long windowless wall, e.g. ``(0, -1, "north")``.
         half_blocks: the city reaches this many blocks from the origin (tests build smaller ones).
+        low_sun: the sun stands 7 to 16 degrees high and at most 12 degrees off the direction of a street, where houses
+            leave it in sight; else 30 to 62 degrees, anywhere.
         variety: number of house fronts drawn.
         ground_side: texels along the side of the ground texture, a power of two.
 
@@ -107,6 +109,7 @@ class CityPlan:
     grain: float = 1.0
     blank_sides: Collection[BlockSide] = ()
     half_blocks: int = HALF_CITY_BLOCKS
+    low_sun: bool = False
     variety: int = 28
     ground_side: int = 4096
 
@@ -138,8 +141,7 @@ def build_world(seed: int, plan: CityPlan = _USUAL) -> World:
     materials = city_materials(atlas, texture_rng, ground, ground_per_m, plan.variety, plan.grain)
     vehicles = vehicle_models(atlas, texture_rng, ground, ground_per_m)
     people = people_models(atlas, np.random.default_rng([seed, 5]), ground, ground_per_m)
-    azimuth, elevation = sun_rng.uniform(0.0, 2.0 * np.pi), np.deg2rad(sun_rng.uniform(30.0, 62.0))
-    sun = np.array([np.cos(azimuth) * np.cos(elevation), np.sin(azimuth) * np.cos(elevation), np.sin(elevation)])
+    sun = _sun(sun_rng, plan.low_sun)
     trees = [tree(materials, tree_rng) for _ in range(12)]
     lamp, signals = street_lamp(materials, tree_rng), traffic_light(materials, tree_rng)
     city = City(materials, trees, lamp, signals, vehicles, Shadows(sun), plan.blank_walls, plan.parked)
@@ -166,6 +168,17 @@ def build_world(seed: int, plan: CityPlan = _USUAL) -> World:
         lamp_light=lamp_light(np.array(city.lamps)),
         ground_texels_per_m=ground_per_m,
     )
+
+
+def _sun(rng: np.random.Generator, low: bool) -> NDArray[np.float64]:
+    """Unit vector towards the sun."""
+    azimuth, elevation = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(30.0, 62.0)
+    if low:
+        quarter = 0.5 * np.pi
+        azimuth = quarter * round(azimuth / quarter) + np.deg2rad(rng.uniform(-12.0, 12.0))
+        elevation = rng.uniform(7.0, 16.0)
+    elevation = np.deg2rad(elevation)
+    return np.array([np.cos(azimuth) * np.cos(elevation), np.sin(azimuth) * np.cos(elevation), np.sin(elevation)])
 
 
 def _blocks(city: City, seed: int, half_blocks: int, blank_sides: set[BlockSide]) -> None:

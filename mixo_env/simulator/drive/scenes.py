@@ -80,7 +80,9 @@ def simulate_scene(config: SimulationConfig, log: LogPlan, plan: ScenePlan, root
         reels[channel] = CameraReel(
             calibration, frames.timestamp_us, paths, frames.is_keyframe, x, y, wrap_angle_rad(yaw)
         )
-    description = ", ".join([_LIGHT[log.weather], *_manoeuvre(drive, config.seconds)])
+    description = ", ".join(
+        [_LIGHT[log.weather], *(["low sun"] if log.low_sun else []), *_manoeuvre(drive, config.seconds)]
+    )
     scene = Scene(
         name=plan.name,
         description=description,
@@ -99,12 +101,20 @@ def pictures(
     config: SimulationConfig, log: LogPlan, plan: ScenePlan, simulated: SimulatedScene, renderer: Renderer
 ) -> Iterator[tuple[Path, NDArray[np.uint8]]]:
     """Every picture of the scene with its path, camera by camera in time order (the exposure control has a memory)."""
+    from mixo_env.simulator.picture.drops import drops_on, glass_of
+    from mixo_env.simulator.picture.drops_seen import drops_veil
+
     shutter_s = renderer.weather.shutter_s
     for channel in config.cameras:
         calibration = log.rig.true[channel]
         reel = simulated.scene.cameras[channel]
-        gain = None
-        for number, exposure_us in enumerate(simulated.times.cameras[channel].exposure_us):
+        gain, drops = None, None
+        if renderer.weather.wetness > 0.0:
+            name = (config.seed, *b"drops", plan.number, *channel.encode())
+            drops = drops_on(glass_of(channel), name, config.seconds, calibration.intrinsic[0, 0] / config.width)
+        exposures_us = simulated.times.cameras[channel].exposure_us
+        until_next_s = np.diff(exposures_us, append=exposures_us[-1]) / 1e6
+        for number, exposure_us in enumerate(exposures_us):
             open_s = (int(exposure_us) - plan.start_us) / 1e6
             noise = generator(config, "noise", plan.number, *channel.encode(), number)
             picture = renderer.render(
@@ -120,6 +130,8 @@ def pictures(
                 people=[person.state(open_s + 0.5 * shutter_s) for person in simulated.people],
                 gain=gain,
                 noise_seed=int(noise.integers(2**31)),
+                veil=drops_veil(drops, open_s, config.height, config.width) if drops else None,
+                next_s=float(until_next_s[number]),
             )
             gain = picture.gain
             yield reel.image_paths[number], picture.image
