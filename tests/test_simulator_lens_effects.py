@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 import pytest
 
 from mixo_env.errors import ConfigurationError
+from mixo_env.simulator.city.mesh import quad
+from mixo_env.simulator.city.world import World
 from mixo_env.simulator.picture.developed import image_of, radiance_of
 from mixo_env.simulator.picture.drops import OUTSIDE, WINDSCREEN, Drops, drops_on, glass_of
 from mixo_env.simulator.picture.drops_seen import add_drops, drops_veil
+from mixo_env.simulator.picture.exposure import EXPOSURE_S, adapted_gain
 from mixo_env.simulator.picture.glare import SCATTER, add_sun, lens_glare, sun_share
-from tests.tiny_world import camera
+from mixo_env.simulator.picture.render import Renderer
+from mixo_env.simulator.picture.weather import weather_named
+from tests.tiny_world import camera, plain_texture, pose, surface, world_of
 
 FOCAL = 0.79
 
@@ -81,7 +89,7 @@ def test_heavy_drops_run_down_and_swallowed_ones_swell_the_other() -> None:
     assert (np.delete(drops.radius, runs) <= heavy).all()
     moving = runs[drops.gone_s[runs] > drops.run_s[runs] + 0.05]
     for n in moving[:3]:
-        y = [drops.at(drops.run_s[n] + later)[:, 1].max() for later in (0.0, 0.04)]
+        y = [drops.at(float(drops.run_s[n]) + later)[:, 1].max() for later in (0.0, 0.04)]
         assert y[1] > y[0] or len(moving) > 1
 
 
@@ -148,3 +156,52 @@ def test_glare_on_a_finished_picture_is_a_veil_that_grows_with_its_strength() ->
     assert more[far].std() < some[far].std() < image[far].std()
     with pytest.raises(ConfigurationError, match="strength"):
         add_sun(image, k, sun, -1.0)
+
+
+def _open_world() -> World:
+    return world_of(
+        [plain_texture(120.0, 120.0, 120.0)], [quad(surface(0), (0.0, 0.0, -50.0), (1.0, 0.0, 0.0), (0.0, -1.0, 0.0))]
+    )
+
+
+def _sky(yaw_rad: float, **changes: Any) -> np.ndarray:
+    """Grey levels of an empty sky, looking along ``yaw_rad``; the sun stands in +x, 12 degrees high."""
+    low = np.radians(12.0)
+    world = replace(_open_world(), sun=np.array([np.cos(low), 0.0, np.sin(low)]), **changes)
+    renderer = Renderer(
+        world, replace(weather_named("low sun"), haze=(0.1, 0.1, 0.1), zenith=(0.1, 0.1, 0.1), clouds=0.0)
+    )
+    calibration = camera("CAM_FRONT", 0.2)
+    at = pose(calibration, 0.0, 0.0, yaw_rad)
+    return renderer.render(calibration, at, at, gain=1.0).image.mean(axis=2)
+
+
+@pytest.mark.parametrize("yaw_deg", [-15.0, 0.0, 15.0])
+def test_the_picture_clips_where_the_sun_stands(yaw_deg: float) -> None:
+    image = _sky(np.radians(yaw_deg))
+    calibration = camera("CAM_FRONT", 0.2)
+    assert image.max() >= 254.0
+    row, column = (places.mean() for places in np.nonzero(image >= image.max() - 1.0))
+    # The car turned left by yaw sees the sun to its right, and it stands above the horizon.
+    focal = calibration.intrinsic[0, 0]
+    assert column == pytest.approx(calibration.intrinsic[0, 2] + focal * np.tan(np.radians(yaw_deg)), abs=25.0)
+    assert row < calibration.intrinsic[1, 2] - 0.5 * focal * np.tan(np.radians(12.0))
+
+
+def test_no_glare_with_the_sun_behind_and_less_behind_a_house() -> None:
+    away = _sky(np.pi)
+    assert away.max() < 150.0
+    shaded = _sky(0.0, shadow_height=np.full((2048, 2048), 30.0, np.float32))
+    free = _sky(0.0)
+    assert (free >= shaded - 2.0).all()
+    assert free.mean() > shaded.mean() + 1.0
+
+
+def test_exposure_follows_its_time_constant() -> None:
+    """After one time constant 1/e of the way is left, whatever the rhythm of the images."""
+    assert adapted_gain(1.0, 3.0, EXPOSURE_S) == pytest.approx(3.0 - 2.0 / np.e)
+    gain = 1.0
+    for _ in range(6):
+        gain = adapted_gain(gain, 3.0, EXPOSURE_S / 6.0)
+    assert gain == pytest.approx(3.0 - 2.0 / np.e)
+    assert adapted_gain(2.0, 2.0, 1.0) == 2.0

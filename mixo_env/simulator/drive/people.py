@@ -2,8 +2,8 @@
 
 Walking speed 1.3 +- 0.2 m/s (Bohannon and Andrews, "Normal walking speed: a descriptive meta-analysis", Physiotherapy
 97, 2011); the length of a step grows with the square root of the speed. Cyclists in cities ride at 4 to 6 m/s. How many
-there are: a key frame of nuScenes shows 7 people on average (Caesar et al., "nuScenes", CVPR 2020), of whom about one
-in four stands; the number is drawn anew for every scene. Nobody comes near a vehicle that moves: whoever would waits
+there are: a key frame of nuScenes shows 7 people on average (Caesar et al., "nuScenes", CVPR 2020), of whom one
+in five stands; the number is drawn anew for every scene. Nobody comes near a vehicle that moves: whoever would waits
 at the kerb, and where that does not help is left out.
 """
 
@@ -31,7 +31,7 @@ SHARE_OF = {"day": 1.0, "rain": 0.5, "night": 0.35}
 """How many of them are out, by weather."""
 
 _SPREAD = 0.6  # of the logarithm of their number, between scenes
-_STANDING = 0.25  # share of people who stand
+_STANDING = 0.25  # share of groups of people that stand
 _PAIRS = 0.25  # share of walkers with another one at their side
 _WALK_M = (8.2, 9.5)  # from the centre line: clear of lamps and trees, and of the houses
 _CYCLE_M = 3.75  # likewise, between the lane and the parked cars

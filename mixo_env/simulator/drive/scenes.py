@@ -109,7 +109,7 @@ def pictures(
         calibration = log.rig.true[channel]
         reel = simulated.scene.cameras[channel]
         gain, drops = None, None
-        if renderer.weather.wetness > 0.0:
+        if log.weather == "rain":
             name = (config.seed, *b"drops", plan.number, *channel.encode())
             drops = drops_on(glass_of(channel), name, config.seconds, calibration.intrinsic[0, 0] / config.width)
         exposures_us = simulated.times.cameras[channel].exposure_us

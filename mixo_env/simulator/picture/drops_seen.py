@@ -138,7 +138,7 @@ def see_through(radiance: Int64s, veil: Veil) -> None:
         for x in range(width):
             part = np.int64(shares[x >> 1])
             if part > 0:
-                row[x] = mixed(row[x], around[cells[x >> 1]], part)
+                row[x] = mixed(row[x], int(around[cells[x >> 1]]), part)
 
 
 def add_drops(image: NDArray[np.uint8], drops: Drops, time_s: float) -> NDArray[np.uint8]:
