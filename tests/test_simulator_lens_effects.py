@@ -93,12 +93,17 @@ def test_heavy_drops_run_down_and_swallowed_ones_swell_the_other() -> None:
         assert y[1] > y[0] or len(moving) > 1
 
 
-def test_a_drop_larger_than_the_pupil_is_opaque_in_its_middle_and_ends_at_both_radii() -> None:
-    share = drops_veil(_one(0.5, 0.28125, 0.1, 0.05), 1.0, 450, 800).share
-    assert share[112, 200] == 255
-    assert share[112, 200 + 18] == 255, "inside R - P = 40 pixels"
-    assert 0 < share[112, 200 + 40] < 255, "at R half the pupil is covered"
-    assert share[112, 200 + 61] == 0, "beyond R + P = 120 pixels"
+@pytest.mark.parametrize("size", [1.0, 0.2])
+def test_a_drop_larger_than_the_pupil_is_opaque_in_its_middle_and_ends_at_both_radii(size: float) -> None:
+    veil = drops_veil(_one(0.5, 0.28125, 0.1 * size, 0.05 * size), 1.0, 450, 800)
+
+    def share(aside_px: float) -> int:
+        return int(veil.share[225 >> veil.shift, int(400 + size * aside_px) >> veil.shift])
+
+    assert share(0.0) == 255
+    assert share(34.0) >= 254, "inside R - P = 40 pixels"
+    assert 0 < share(80.0) < 255, "at R half the pupil is covered"
+    assert share(125.0) == 0, "beyond R + P = 120 pixels"
 
 
 def test_a_drop_smaller_than_the_pupil_only_dims_by_the_ratio_of_the_areas() -> None:

@@ -1,8 +1,9 @@
 """Rendering one picture of the simulated city: CPU time against ORB extraction on the same picture.
 
 Stops along a fixed tour through a city, renders the paper's four cameras in every weather with traffic and people
-around and, in rain, drops on the lenses, and times each picture and ``cv2.ORB_create(8000, 1.2, 19)`` on it in turn, on one thread. Reported is the median over the
-pictures of the best of some repeats, which alternate so that a machine that slows down for a while slows both.
+around and, in rain, drops on the lenses, and times each picture and ``cv2.ORB_create(8000, 1.2, 19)`` on it in turn, on
+one thread. Reported is the median over the pictures of the best of some repeats, which alternate so that a machine that
+slows down for a while slows both.
 
     python -m experiments.speed.rendering
     python -m experiments.speed.rendering --weathers day "low sun" --scale 1.0 --strip tour.png

@@ -11,24 +11,27 @@ from numpy.typing import NDArray
 from mixo_env.compiled import compiled_unchecked
 from mixo_env.simulator.picture.developed import image_of, radiance_of
 from mixo_env.simulator.picture.drops import Drops
-from mixo_env.simulator.picture.mirror import mixed
 from mixo_env.simulator.picture.views import Float32s, Float64s, Int32s, Int64s, UInt8s
 
 _TABLE = 256  # samples of the covered share over the distance from a drop's centre
 _SHARPNESS = 32  # steps of sharp radius over pupil; 8 is the largest that is told apart
 _CELL = 8  # the surroundings that a drop shows are read from a picture so much smaller
+_VERY_SOFT_PX = 24.0  # an opening whose disc has this radius blurs blocks of 4 x 4 pixels, any other 2 x 2
+_FAINT = 4  # of 255: nobody sees less
 _FIELD = (1 << 21) - 1  # one colour of a packed radiance
 _SIDE = 5  # cells along the side of the square over which the surroundings are averaged
 
 
 class Veil(NamedTuple):
-    """What a set of drops does to a picture; as drops are soft, one value for 2 x 2 pixels.
+    """What a set of drops does to a picture; as drops are soft, one value for a block of pixels.
 
     Attributes:
+        shift: blocks are 2^shift pixels wide and high.
         share: ``(h, w)`` of the light that passes a drop, 0..255.
         cell: ``(h, w)`` the cell of the surroundings that is seen there.
     """
 
+    shift: int
     share: UInt8s
     cell: Int32s
 
@@ -36,10 +39,9 @@ class Veil(NamedTuple):
 def drops_veil(drops: Drops, time_s: float, height: int, width: int) -> Veil:
     """The veil of the drops that are there at ``time_s``, for pictures of ``height`` x ``width``."""
     there = drops.at(time_s)
-    veil = Veil(
-        np.zeros(((height + 1) // 2, (width + 1) // 2), np.uint8),
-        np.zeros(((height + 1) // 2, (width + 1) // 2), np.int32),
-    )
+    shift = 2 if width * drops.pupil > _VERY_SOFT_PX else 1
+    shape = -(-height >> shift), -(-width >> shift)
+    veil = Veil(shift, np.zeros(shape, np.uint8), np.zeros(shape, np.int32))
     if len(there):
         sharp = [
             min(max(round(_SHARPNESS * radius / drops.pupil), 1), 8 * _SHARPNESS) for radius in there[:, 2].tolist()
@@ -68,14 +70,16 @@ def _covered(sharpness: int) -> NDArray[np.float32]:
 @compiled_unchecked
 def _lay(drops: Float64s, pupil: float, tables: Float32s, veil: Veil, cells: tuple[int, int]) -> None:
     """Lay drops (x, y, radius in pixels), each with its table of ``_covered``, over each other into ``veil``."""
-    share, cell = veil
+    shift, share, cell = veil
     rows, columns = cells
+    scale = 0.5**shift
     height, width = share.shape
     most = np.zeros(share.shape, np.float32)
     for n in range(drops.shape[0]):
-        # In pairs of pixels, whose centres lie half a pixel right of and below the even pixel's.
-        x, y, sharp, soft = 0.5 * drops[n, 0] - 0.25, 0.5 * drops[n, 1] - 0.25, 0.5 * drops[n, 2], 0.5 * pupil
-        reach = sharp + soft
+        # In blocks, whose centres lie right of and below their first pixel's.
+        x, y = scale * (drops[n, 0] + 0.5) - 0.5, scale * (drops[n, 1] + 0.5) - 0.5
+        sharp = scale * drops[n, 2]
+        reach = sharp + scale * pupil
         # Upside down: the whole height of the picture within the drop, less where the blur mixes it.
         turned = -0.5 * rows / reach * (sharp / reach)
         u0, v0 = min(max(x / width, 0.25), 0.75) * columns, min(max(y / height, 0.35), 0.65) * rows
@@ -130,15 +134,23 @@ def _surroundings(radiance: Int64s) -> Int64s:
 @compiled_unchecked
 def see_through(radiance: Int64s, veil: Veil) -> None:
     """Blend what drops show into ``(h, w)`` packed radiance, in place."""
-    share, cell = veil
+    shift, share, cell = veil
     around = _surroundings(radiance)
     height, width = radiance.shape
+    side = 1 << shift
     for y in range(height):
-        row, shares, cells = radiance[y], share[y >> 1], cell[y >> 1]
-        for x in range(width):
-            part = np.int64(shares[x >> 1])
-            if part > 0:
-                row[x] = mixed(row[x], int(around[cells[x >> 1]]), part)
+        row, shares, cells = radiance[y], share[y >> shift], cell[y >> shift]
+        for block in range(shares.shape[0]):
+            part = np.int64(shares[block])
+            if part < _FAINT:
+                continue
+            keep, word = 256 - part, around[cells[block]]
+            red, green, blue = part * (word & _FIELD), part * (word >> 21 & _FIELD), part * (word >> 42)
+            for x in range(block * side, min(block * side + side, width)):
+                old = row[x]
+                r = ((old & _FIELD) * keep + red) >> 8
+                g = ((old >> 21 & _FIELD) * keep + green) >> 8
+                row[x] = r | g << 21 | ((old >> 42) * keep + blue) >> 8 << 42
 
 
 def add_drops(image: NDArray[np.uint8], drops: Drops, time_s: float) -> NDArray[np.uint8]:
