@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from mixo_env.compiled import compiled_unchecked
 from mixo_env.simulator.city.mesh import CUT_OUT, SHADE, TWO_SIDED, PatchSet, packed
 from mixo_env.simulator.city.people import PEOPLE_KINDS, PHASES, PersonState
+from mixo_env.simulator.city.underpass import light_at
 from mixo_env.simulator.city.vehicles import VEHICLE_KINDS, VehicleState
 from mixo_env.simulator.city.world import World
 from mixo_env.simulator.picture.views import (
@@ -71,10 +72,13 @@ def _place(states: Float64s, numbers: Int64s, models: Models, out: PatchSet) -> 
         out.groups[n, 1] = y + s * spheres[m, 0] + c * spheres[m, 1]
         out.groups[n, 2] = spheres[m, 2] + z
         out.groups[n, 3] = spheres[m, 3]
-        # The body.
+        # The body, in what light there is.
+        light = states[n, 6]
         for p in range(patches.group_start[m], patches.group_start[m + 1]):
             _move(patches, p, (x, y, z, c, s), out, q)
             _face(patches, p, (c, s), models.sun, out, q)
+            for j in range(3):
+                out.look[q, j] *= light
             out.tag[q, BODY] = n + 1
             if patches.tag[p, MATERIAL] == _SHADE:
                 _lay(out, q, models.texels_per_m)
@@ -216,11 +220,22 @@ class Fleet:
         return patches
 
 
-def moving_states(vehicles: Sequence[VehicleState], people: Sequence[PersonState] = ()) -> NDArray[np.float64]:
-    """``(n, 6)`` x, y [m], yaw [rad], speed [m/s], yaw rate [rad/s] and height of the ground [m], vehicles first."""
-    states = [(v.x_m, v.y_m, v.yaw_rad, v.speed_mps, v.yaw_rate_radps, 0.0) for v in vehicles]
-    states += [(p.x_m, p.y_m, p.yaw_rad, p.speed_mps, 0.0, p.z_m) for p in people]
-    return np.array(states, np.float64).reshape(-1, 6)
+def moving_states(
+    vehicles: Sequence[VehicleState], people: Sequence[PersonState] = (), underpasses: Float64s | None = None
+) -> NDArray[np.float64]:
+    """Where everybody is, vehicles first.
+
+    Returns:
+        ``(n, 7)`` x, y [m], yaw [rad], speed [m/s], yaw rate [rad/s], height of the ground [m] and share of the sky's
+        light, which is less than 1 in ``underpasses``.
+    """
+    states = [(v.x_m, v.y_m, v.yaw_rad, v.speed_mps, v.yaw_rate_radps, 0.0, 1.0) for v in vehicles]
+    states += [(p.x_m, p.y_m, p.yaw_rad, p.speed_mps, 0.0, p.z_m, 1.0) for p in people]
+    out = np.array(states, np.float64).reshape(-1, 7)
+    if underpasses is not None and len(underpasses):
+        for row in out:
+            row[6] = light_at(underpasses, float(row[0]), float(row[1]))
+    return out
 
 
 @compiled_unchecked
@@ -236,7 +251,7 @@ def body_motions(states: Float64s, dt_s: float) -> tuple[Float64s, Float64s]:
     """
     turns, shifts = np.zeros((1 + len(states), 3, 3)), np.zeros((1 + len(states), 3))
     turns[0, 0, 0] = turns[0, 1, 1] = turns[0, 2, 2] = 1.0
-    for n, (x, y, yaw, speed, yaw_rate, _) in enumerate(states, 1):
+    for n, (x, y, yaw, speed, yaw_rate, _, _) in enumerate(states, 1):
         c, s = np.cos(yaw_rate * dt_s), np.sin(yaw_rate * dt_s)
         turns[n, 0, 0], turns[n, 0, 1], turns[n, 1, 0], turns[n, 1, 1], turns[n, 2, 2] = c, -s, s, c, 1.0
         shifts[n, 0] = x + speed * dt_s * np.cos(yaw) - (c * x - s * y)

@@ -153,7 +153,7 @@ class Renderer:
         x_m, y_m = (0.5 * (start.position_m.item(i) + end.position_m.item(i)) for i in range(2))
         near = [v for v in vehicles if math.hypot(v.x_m - x_m, v.y_m - y_m) < weather.sight_m]
         about = [p for p in people if math.hypot(p.x_m - x_m, p.y_m - y_m) < _PEOPLE_SEEN_M]
-        states, models = moving_states(near, about), self._fleet.models(near, about)
+        states, models = moving_states(near, about, world.underpasses), self._fleet.models(near, about)
         rotation, position, motion = during_exposure(
             start.rotation_map_from_camera,
             start.position_m,
