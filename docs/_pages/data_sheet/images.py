@@ -123,8 +123,7 @@ def alone(paths: Iterable[Path]) -> dict[str, Numbers]:
 
 
 def simulated_pictures(city: City, per_group: int = 48) -> dict[str, dict[str, Numbers]]:
-    """Single pictures by group: every camera by day, and all cameras in rain, at night, in cities of low texture and
-    under a low sun."""
+    """Single pictures by group: every camera by day; all cameras in rain, at night, of low texture, in a low sun."""
     conditions = ("rain", "night", "low texture", "low sun")
     groups: dict[str, list[Path]] = {group: [] for group in (*(f"{c} day" for c in city.config.cameras), *conditions)}
     for log, plan in city.scenes():

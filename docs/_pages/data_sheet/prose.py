@@ -40,15 +40,15 @@ Each follows a description that others have measured; none was set by what it do
   walking (Perry and Burnfield 2010), in 16 poses a cycle that advance with the way. Cyclists ride at 4 to 6 m/s along
   the edge of the carriageway. By day about 7 people are around the car, as in a key frame of nuScenes (Caesar et al.
   2020), half as many in rain, a third at night.
-* **Drops on the lens** in rain arrive as Marshall and Palmer (1948) count them at 4 mm/h, grow where they meet, run down
-  when they become too heavy, and stay in place between images otherwise. How soft and how opaque they look follows from
+* **Drops on the lens** in rain arrive as Marshall and Palmer (1948) count them at 4 mm/h, grow where they meet, run
+  down when they become too heavy, and stay in place between images otherwise. How soft and how opaque they look follows from
   the distance of the glass and the opening of the lens; inside, they show the surroundings upside down (Garg and Nayar
   2007). A wiper clears the glass before CAM_FRONT every 1.2 s; the other cameras have none.
 * **A low sun** (7 to 16 degrees, along the streets) shines on a fifth of the logs by day. Lens and glass scatter 4 % of
   its light with the square of the angle (Vos and van den Berg 1999; Talvala et al. 2007): bloom and clipped sky around
   it, a grey veil over the rest, weak ghosts. Where a house hides the sun the veil is gone.
-* **Underpasses** of 14 to 28 m lie over some streets. Light inside is what both ends let in (view factors). The exposure
-  follows with a time constant of 0.3 s, as at every change of light: too dark going in, too bright coming out.
+* **Underpasses** of 14 to 28 m lie over some streets. Light inside is what both ends let in (view factors). The
+  exposure follows with a time constant of 0.3 s, as at every change of light: too dark going in, too bright coming out.
 """
 
 LOGS = """Every log is one drive of one of two cars through a city of its own. Wheel radius: mean of the rear axle;
