@@ -41,9 +41,9 @@ Each follows a description that others have measured; none was set by what it do
   the edge of the carriageway. By day about 7 people are around the car, as in a key frame of nuScenes (Caesar et al.
   2020), half as many in rain, a third at night.
 * **Drops on the lens** in rain arrive as Marshall and Palmer (1948) count them at 4 mm/h, grow where they meet, run
-  down when they become too heavy, and stay in place between images otherwise. How soft and how opaque they look follows from
-  the distance of the glass and the opening of the lens; inside, they show the surroundings upside down (Garg and Nayar
-  2007). A wiper clears the glass before CAM_FRONT every 1.2 s; the other cameras have none.
+  down when they become too heavy, and stay in place between images otherwise. How soft and how opaque they look follows
+  from the distance of the glass and the opening of the lens; inside, they show the surroundings upside down (Garg and
+  Nayar 2007). A wiper clears the glass before CAM_FRONT every 1.2 s; the other cameras have none.
 * **A low sun** (7 to 16 degrees, along the streets) shines on a fifth of the logs by day. Lens and glass scatter 4 % of
   its light with the square of the angle (Vos and van den Berg 1999; Talvala et al. 2007): bloom and clipped sky around
   it, a grey veil over the rest, weak ghosts. Where a house hides the sun the veil is gone.
