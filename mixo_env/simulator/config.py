@@ -76,6 +76,8 @@ class SimulationConfig:
     """Share of logs driven in rain (by day)."""
     night: float = 0.08
     """Share of logs driven at night."""
+    low_sun: float = 0.2
+    """Share of the logs by day under a low sun, which stands along the streets."""
     low_texture: float = 0.1
     """Share of logs in a city with many blank walls and little fine texture."""
     situations: SituationShares = field(default_factory=SituationShares)
@@ -103,6 +105,7 @@ class SimulationConfig:
             raise ConfigurationError(f"cameras must be given once each, got {', '.join(self.cameras) or 'none'}")
         _check_shares("weather", {"rain": self.rain, "night": self.night})
         _check_shares("log", {"low_texture": self.low_texture})
+        _check_shares("light", {"low_sun": self.low_sun})
 
     @property
     def logs(self) -> int:

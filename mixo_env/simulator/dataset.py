@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 VERSION = "v1.0-mixo"
 """Name of the table folder."""
 
-FORMAT = 4
+FORMAT = 5
 """Raised whenever equal configurations no longer give equal files."""
 
 JPEG_QUALITY = 80
@@ -132,8 +132,8 @@ def _renderer(config: SimulationConfig, log: LogPlan) -> Renderer:
     from mixo_env.simulator.picture.render import Renderer
 
     walls: dict[str, Any] = {"grain": 0.4, "blank_walls": 0.5} if log.low_texture else {}
-    world = build_world(log.world_seed, CityPlan(blank_sides=blank_sides(config, log), **walls))
-    return Renderer(world, log.weather)
+    world = build_world(log.world_seed, CityPlan(blank_sides=blank_sides(config, log), low_sun=log.low_sun, **walls))
+    return Renderer(world, "low sun" if log.low_sun else log.weather)
 
 
 def _simulate_scene(

@@ -102,6 +102,7 @@ def _how_made(recordings: Recordings, measured: Stored) -> str:
             table(["situation", "share asked for", "scenes"], shares),
             prose.LOGS,
             _logs(recordings, measured),
+            prose.EFFECTS.strip(),
         ]
     )
 
@@ -120,7 +121,9 @@ def _logs(recordings: Recordings, measured: Stored) -> str:
                 log["log"],
                 f"{scenes[0][-4:]} to {scenes[-1][-4:]}" if len(scenes) > 1 else scenes[0][-4:],
                 "ood" if fold == OUT_OF_DISTRIBUTION else str(fold),
-                log["weather"] + (", low texture" if log["low_texture"] else ""),
+                log["weather"]
+                + (", low sun" if log.get("low_sun") else "")
+                + (", low texture" if log["low_texture"] else ""),
                 ", ".join(name for name in staged if name != "ordinary") or "-",
                 number(log["wheel_radius_m"], 4),
                 number(log["course_offset_deg"], 2),

@@ -83,6 +83,7 @@ cover most, or the middle of the sharpest turn."""
 
 CONDITIONS: dict[str, tuple[str, str, Choice, Callable[[LogPlan], bool]]] = {
     "low_texture": ("Low texture", "CAM_BACK_RIGHT", _barest, lambda log: log.low_texture and log.weather == "day"),
+    "low_sun": ("Low sun", "CAM_FRONT", _middle, lambda log: log.low_sun),
     "rain": ("Rain", "CAM_FRONT", _middle, lambda log: log.weather == "rain"),
     "night": ("Night", "CAM_FRONT", _middle, lambda log: log.weather == "night"),
 }

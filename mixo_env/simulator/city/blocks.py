@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -98,7 +99,25 @@ def build_pavement(city: City, column: int, row: int) -> None:
     city.groups.append(joined(parts))
 
 
-def build_side(city: City, column: int, row: int, side: int, rng: np.random.Generator, park: bool, blank: bool) -> None:
+class SidePlan(NamedTuple):
+    """What is special about a side.
+
+    Attributes:
+        park: gardens instead of houses.
+        blank: one windowless wall along the whole side.
+        underpass_m: length of the underpass in its middle, 0 without one: nothing stands or parks there.
+    """
+
+    park: bool = False
+    blank: bool = False
+    underpass_m: float = 0.0
+
+    def blocked(self, x_m: float, margin_m: float) -> bool:
+        """Whether something at ``x_m`` along the fronts would stand in the underpass or too close to it."""
+        return self.underpass_m > 0.0 and abs(x_m - 0.5 * FRONT_M) < 0.5 * self.underpass_m + margin_m
+
+
+def build_side(city: City, column: int, row: int, side: int, rng: np.random.Generator, plan: SidePlan) -> None:
     """Houses, trees, furniture and parked cars along one side.
 
     Args:
@@ -107,13 +126,12 @@ def build_side(city: City, column: int, row: int, side: int, rng: np.random.Gene
         row: and between ``row`` and ``row + 1`` in y.
         side: number in ``SIDES``.
         rng: of this side alone.
-        park: gardens instead of houses.
-        blank: one windowless wall along the whole side.
+        plan: what is special about it.
     """
     frame = _frame(column, row, side)
-    _plots(city, frame, side, rng, park, blank)
-    _pavement_furniture(city, frame, rng, sparse=blank)
-    _parked_cars(city, frame, rng)
+    _plots(city, frame, side, rng, plan.park, plan.blank)
+    _pavement_furniture(city, frame, rng, plan)
+    _parked_cars(city, frame, rng, plan)
 
 
 def _plots(city: City, frame: _Frame, side: int, rng: np.random.Generator, park: bool, blank: bool) -> None:
@@ -156,9 +174,11 @@ def _tree(city: City, frame: _Frame, x_m: float, y_m: float, rng: np.random.Gene
     city.shadows.crown(x, y, scale * centre, scale * radius, rng)
 
 
-def _pavement_furniture(city: City, frame: _Frame, rng: np.random.Generator, sparse: bool) -> None:
-    materials = city.materials
+def _pavement_furniture(city: City, frame: _Frame, rng: np.random.Generator, plan: SidePlan) -> None:
+    materials, sparse = city.materials, plan.blank
     for x in np.arange(9.0, FRONT_M, 24.0) + rng.uniform(-1.0, 1.0):
+        if plan.blocked(float(x), 1.0):
+            continue
         city.groups.append(frame.put(city.lamp, float(x), -2.95))
         city.shadows.prism(frame.rectangle((x - 0.1, x + 0.1), (-3.05, -2.85)), furniture.LAMP_M)
         city.lamps.append(frame.points(np.array([[x, -4.85]]))[0])
@@ -167,7 +187,9 @@ def _pavement_furniture(city: City, frame: _Frame, rng: np.random.Generator, spa
     while position < FRONT_M - 2.0:
         y = -2.5 + float(rng.uniform(-0.25, 0.25))
         fate = rng.random()
-        if fate < trees:
+        if plan.blocked(position, 3.5):
+            pass
+        elif fate < trees:
             if not sparse:
                 _tree(city, frame, position, y, rng)
         elif fate < trees + 0.14:
@@ -183,12 +205,12 @@ def _pavement_furniture(city: City, frame: _Frame, rng: np.random.Generator, spa
             city.shadows.prism(frame.rectangle((x - 0.1, x + 0.1), (_KERB_Y + 0.4, _KERB_Y + 0.6)), 3.6)
 
 
-def _parked_cars(city: City, frame: _Frame, rng: np.random.Generator) -> None:
+def _parked_cars(city: City, frame: _Frame, rng: np.random.Generator, plan: SidePlan) -> None:
     position = 6.0
     while position < FRONT_M - 6.0:
         kind = str(rng.choice(["sedan", "sedan", "sedan", "suv", "suv", "van"]))
         colour, taken = int(rng.integers(COLOURS)), rng.random() < city.parked
-        if taken:
+        if taken and not plan.blocked(position, 3.5):
             turn = np.pi + float(rng.normal(0.0, 0.02))  # right-hand traffic: the kerb is on the right
             y = _PARKING_Y + float(rng.normal(0.0, 0.06))
             city.groups.append(
@@ -196,8 +218,8 @@ def _parked_cars(city: City, frame: _Frame, rng: np.random.Generator) -> None:
             )
             size = VEHICLE_KINDS[kind]
             x = (position - 0.48 * size.length_m, position + 0.48 * size.length_m)
-            plan = frame.rectangle(x, (y - 0.5 * size.width_m, y + 0.5 * size.width_m))
-            city.shadows.prism(plan, 0.8 * size.height_m, floor_m=0.3)
+            outline = frame.rectangle(x, (y - 0.5 * size.width_m, y + 0.5 * size.width_m))
+            city.shadows.prism(outline, 0.8 * size.height_m, floor_m=0.3)
         position += float(rng.uniform(5.8, 7.4))
 
 

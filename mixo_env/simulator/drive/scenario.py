@@ -43,6 +43,7 @@ class LogPlan:
         logfile: its name, e.g. ``"m001-2024-05-06-10-00-00+0000"``.
         vehicle: which car.
         weather: ``"day"``, ``"rain"`` or ``"night"``.
+        low_sun: whether it is a day with a low sun.
         low_texture: whether the city has little texture and many blank walls.
         world_seed: of the city.
         rig: true and written calibrations.
@@ -56,6 +57,7 @@ class LogPlan:
     logfile: str
     vehicle: str
     weather: str
+    low_sun: bool
     low_texture: bool
     world_seed: int
     rig: Rig
@@ -73,6 +75,7 @@ def generator(config: SimulationConfig, purpose: str, *numbers: int) -> np.rando
 def plan_logs(config: SimulationConfig) -> tuple[LogPlan, ...]:
     """All logs of a data set."""
     weathers = _dealt({"rain": config.rain, "night": config.night}, config.logs, "day", generator(config, "weather"))
+    suns = iter(_dealt({"low": config.low_sun}, weathers.count("day"), "high", generator(config, "sun")))
     textures = _dealt({"low": config.low_texture}, config.logs, "usual", generator(config, "texture"))
     situations = _dealt(config.situations.by_name(), config.scenes, "ordinary", generator(config, "situations"))
     lag_s = {car: generator(config, "lag", number).uniform(*LAG_RANGE_S) for number, car in enumerate(_CARS)}
@@ -98,6 +101,7 @@ def plan_logs(config: SimulationConfig) -> tuple[LogPlan, ...]:
                 logfile=f"{vehicle}-{begin:%Y-%m-%d-%H-%M-%S}+0000",
                 vehicle=vehicle,
                 weather=weathers[number],
+                low_sun=weathers[number] == "day" and next(suns) == "low",
                 low_texture=textures[number] == "low",
                 world_seed=int(rng.integers(2**31)),
                 rig=draw_rig(rng, config.width, config.height),

@@ -19,6 +19,7 @@ from mixo_env.simulator.config import SimulationConfig
 from mixo_env.simulator.drive.clock import SceneTimes, scene_times
 from mixo_env.simulator.drive.drive import DRIVE_RATE_HZ, Drive, plan_drive
 from mixo_env.simulator.drive.localisation import localise
+from mixo_env.simulator.drive.people import Person, stage_people
 from mixo_env.simulator.drive.scenario import LOCATION, LogPlan, ScenePlan, generator
 from mixo_env.simulator.drive.traffic import Vehicle, stage_traffic
 from mixo_env.simulator.drive.vehicle_bus import bus_messages
@@ -40,6 +41,7 @@ class SimulatedScene:
         times: when the sensors fire.
         drive: the true motion.
         vehicles: all others.
+        people: on foot and on bicycles.
         messages: of the CAN bus, by name.
     """
 
@@ -47,6 +49,7 @@ class SimulatedScene:
     times: SceneTimes
     drive: Drive
     vehicles: tuple[Vehicle, ...]
+    people: tuple[Person, ...]
     messages: dict[str, list[dict[str, Any]]]
 
 
@@ -61,6 +64,7 @@ def simulate_scene(config: SimulationConfig, log: LogPlan, plan: ScenePlan, root
     drive = scene_drive(config, log, plan)
     times = scene_times(generator(config, "clock", plan.number), plan.start_us, config.seconds)
     vehicles = stage_traffic(generator(config, "traffic", plan.number), drive, config.seconds)
+    people = stage_people(generator(config, "people", plan.number), drive, config.seconds, vehicles, log.weather)
     localisation = localise(generator(config, "localisation", plan.number), drive, log.localisation_lag_s)
     first_us, last_us = int(times.sample_us[0]), int(times.sample_us[-1])
     bus_rng = generator(config, "bus", plan.number)
@@ -76,7 +80,9 @@ def simulate_scene(config: SimulationConfig, log: LogPlan, plan: ScenePlan, root
         reels[channel] = CameraReel(
             calibration, frames.timestamp_us, paths, frames.is_keyframe, x, y, wrap_angle_rad(yaw)
         )
-    description = ", ".join([_LIGHT[log.weather], *_manoeuvre(drive, config.seconds)])
+    description = ", ".join(
+        [_LIGHT[log.weather], *(["low sun"] if log.low_sun else []), *_manoeuvre(drive, config.seconds)]
+    )
     scene = Scene(
         name=plan.name,
         description=description,
@@ -88,19 +94,27 @@ def simulate_scene(config: SimulationConfig, log: LogPlan, plan: ScenePlan, root
         can_bus=None,
         exact=_exact(drive, plan, config.seconds),
     )
-    return SimulatedScene(scene, times, drive, vehicles, messages)
+    return SimulatedScene(scene, times, drive, vehicles, people, messages)
 
 
 def pictures(
     config: SimulationConfig, log: LogPlan, plan: ScenePlan, simulated: SimulatedScene, renderer: Renderer
 ) -> Iterator[tuple[Path, NDArray[np.uint8]]]:
     """Every picture of the scene with its path, camera by camera in time order (the exposure control has a memory)."""
+    from mixo_env.simulator.picture.drops import drops_on, glass_of
+    from mixo_env.simulator.picture.drops_seen import drops_veil
+
     shutter_s = renderer.weather.shutter_s
     for channel in config.cameras:
         calibration = log.rig.true[channel]
         reel = simulated.scene.cameras[channel]
-        gain = None
-        for number, exposure_us in enumerate(simulated.times.cameras[channel].exposure_us):
+        gain, drops = None, None
+        if log.weather == "rain":
+            name = (config.seed, *b"drops", plan.number, *channel.encode())
+            drops = drops_on(glass_of(channel), name, config.seconds, calibration.intrinsic[0, 0] / config.width)
+        exposures_us = simulated.times.cameras[channel].exposure_us
+        until_next_s = np.diff(exposures_us, append=exposures_us[-1]) / 1e6
+        for number, exposure_us in enumerate(exposures_us):
             open_s = (int(exposure_us) - plan.start_us) / 1e6
             noise = generator(config, "noise", plan.number, *channel.encode(), number)
             picture = renderer.render(
@@ -113,8 +127,11 @@ def pictures(
                     open_s + shutter_s,
                 ),
                 [vehicle.state(open_s + 0.5 * shutter_s) for vehicle in simulated.vehicles],
+                people=[person.state(open_s + 0.5 * shutter_s) for person in simulated.people],
                 gain=gain,
                 noise_seed=int(noise.integers(2**31)),
+                veil=drops_veil(drops, open_s, config.height, config.width) if drops else None,
+                next_s=float(until_next_s[number]),
             )
             gain = picture.gain
             yield reel.image_paths[number], picture.image

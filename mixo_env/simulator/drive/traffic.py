@@ -78,10 +78,10 @@ class Lane:
         """The other lane of the street."""
         return Lane(self.axis, self.street, -self.direction)
 
-    def at(self, along_m: FloatArray) -> tuple[FloatArray, FloatArray, float]:
-        """x, y and heading of points at map coordinate ``along_m`` in the middle of the lane."""
+    def at(self, along_m: FloatArray, aside_m: float = LANE_M) -> tuple[FloatArray, FloatArray, float]:
+        """x, y and heading of points at map coordinate ``along_m``, ``aside_m`` right of the street's centre line."""
         # Right-hand traffic: eastbound lanes lie south of the centre line, northbound ones east of it.
-        aside = self.street * BLOCK_M + (LANE_M if self.axis else -LANE_M) * self.direction
+        aside = self.street * BLOCK_M + (aside_m if self.axis else -aside_m) * self.direction
         across = np.full_like(along_m, aside)
         heading = 0.5 * np.pi * self.axis + (0.0 if self.direction > 0 else np.pi)
         return (along_m, across, heading) if self.axis == 0 else (across, along_m, heading)
@@ -95,8 +95,8 @@ def stage_traffic(rng: np.random.Generator, drive: Drive, seconds: float) -> tup
         drive: of the car; ``drive.situation`` decides what is staged.
         seconds: length of the scene.
     """
-    time_s = np.arange(-_BEYOND_S, seconds + _BEYOND_S, 1.0 / _RATE_HZ)
-    accepted = [_car_itself(drive, time_s)]
+    time_s = scene_clock(seconds)
+    accepted = [car_itself(drive, time_s)]
     car = accepted[0]
     for vehicle in _candidates(rng, drive, time_s):
         near = np.hypot(vehicle.x_m - car.x_m, vehicle.y_m - car.y_m).min() < _SIGHT_M
@@ -105,7 +105,12 @@ def stage_traffic(rng: np.random.Generator, drive: Drive, seconds: float) -> tup
     return tuple(accepted[1:])
 
 
-def _car_itself(drive: Drive, time_s: FloatArray) -> Vehicle:
+def scene_clock(seconds: float) -> FloatArray:
+    """Times at which everybody's place is known, from shortly before the scene until shortly after it."""
+    return np.arange(-_BEYOND_S, seconds + _BEYOND_S, 1.0 / _RATE_HZ)
+
+
+def car_itself(drive: Drive, time_s: FloatArray) -> Vehicle:
     """The car as an obstacle (a sedan is a little larger than it)."""
     x, y, yaw = (drive.at(name, time_s) for name in ("x_m", "y_m", "yaw_rad"))
     ahead = 0.5 * (REAR_AXLE_TO_FRONT_M - REAR_AXLE_TO_REAR_M)
@@ -126,7 +131,7 @@ def _candidates(rng: np.random.Generator, drive: Drive, time_s: FloatArray) -> I
 
     for passed_m in drive.route.passed_m:
         yield _in_the_way(rng, drive, time_s, passed_m)
-    own, crossing = _lanes(drive, time_s)
+    own, crossing = lanes_of(drive, time_s)
     for lane in own:
         if situation == "side_queue":
             speed_mps, pause_m = rng.uniform(0.0, 1.0), (1.5, 3.5)
@@ -196,7 +201,7 @@ def _flow(
             yield Vehicle(kind, colour, time_s, x, y, np.full_like(time_s, heading))
 
 
-def _lanes(drive: Drive, time_s: FloatArray) -> tuple[list[Lane], list[Lane]]:
+def lanes_of(drive: Drive, time_s: FloatArray) -> tuple[list[Lane], list[Lane]]:
     """Lanes the car drives in, and lanes of the streets it comes near, in the order in which it meets them."""
     x, y, course = drive.route.at(np.linspace(drive.at("s_m", time_s[0]), drive.at("s_m", time_s[-1]) + 40.0, 400))
     own: dict[Lane, None] = {}

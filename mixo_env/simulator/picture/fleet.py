@@ -1,4 +1,4 @@
-"""Moving vehicles as patches, put anew into every picture."""
+"""Moving vehicles and people as patches, put anew into every picture."""
 
 from __future__ import annotations
 
@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 from mixo_env.compiled import compiled_unchecked
 from mixo_env.simulator.city.mesh import CUT_OUT, SHADE, TWO_SIDED, PatchSet, packed
+from mixo_env.simulator.city.people import PEOPLE_KINDS, PHASES, PersonState
+from mixo_env.simulator.city.underpass import light_at
 from mixo_env.simulator.city.vehicles import VEHICLE_KINDS, VehicleState
 from mixo_env.simulator.city.world import World
 from mixo_env.simulator.picture.views import (
@@ -33,15 +35,19 @@ _SHADOW_PLAN = 0.96  # share of length and width
 _SHADOW_HEIGHT = 0.85  # share of height
 
 
+Pose = tuple[float, float, float, float, float]
+"""x, y, z [m], cosine and sine of the yaw."""
+
+
 class Models(NamedTuple):
-    """All that is copied when vehicles are placed.
+    """All that is copied when vehicles and people are placed.
 
     Attributes:
         patches: of the models, one group each.
         size_m: ``(models, 3)`` length, width, height.
         sun: ``(3,)`` unit vector towards the sun.
         texels_per_m: of the ground, which shadows show.
-        shadows: whether vehicles throw sun shadows.
+        shadows: whether they throw sun shadows.
     """
 
     patches: PatchSet
@@ -53,23 +59,26 @@ class Models(NamedTuple):
 
 @compiled_unchecked
 def _place(states: Float64s, numbers: Int64s, models: Models, out: PatchSet) -> None:
-    """Copy the models ``numbers`` to their ``states`` (x, y, yaw); see :class:`Fleet`."""
+    """Copy the models ``numbers`` to their ``states``; see :class:`Fleet`."""
     patches = models.patches
     q = under = 0
     for n in range(states.shape[0]):
-        x, y, m = states[n, 0], states[n, 1], numbers[n]
+        x, y, z, m = states[n, 0], states[n, 1], states[n, 5], numbers[n]
         c, s = np.cos(states[n, 2]), np.sin(states[n, 2])
         # The group: where it begins, and its bounding sphere.
         out.group_start[n] = q
         spheres = patches.groups
         out.groups[n, 0] = x + c * spheres[m, 0] - s * spheres[m, 1]
         out.groups[n, 1] = y + s * spheres[m, 0] + c * spheres[m, 1]
-        out.groups[n, 2] = spheres[m, 2]
+        out.groups[n, 2] = spheres[m, 2] + z
         out.groups[n, 3] = spheres[m, 3]
-        # The body.
+        # The body, in what light there is.
+        light = states[n, 6]
         for p in range(patches.group_start[m], patches.group_start[m + 1]):
-            _move(patches, p, (x, y, c, s), out, q)
+            _move(patches, p, (x, y, z, c, s), out, q)
             _face(patches, p, (c, s), models.sun, out, q)
+            for j in range(3):
+                out.look[q, j] *= light
             out.tag[q, BODY] = n + 1
             if patches.tag[p, MATERIAL] == _SHADE:
                 _lay(out, q, models.texels_per_m)
@@ -77,22 +86,23 @@ def _place(states: Float64s, numbers: Int64s, models: Models, out: PatchSet) -> 
             q += 1
         # Its shadow, which looks like the ground under it.
         if models.shadows:
-            q = _throw_shadow(models, m, (x, y, c, s), under, out, q)
+            q = _throw_shadow(models, m, (x, y, z, c, s), under, out, q)
             rx, ry = _throw(models, m)
             out.groups[n, 3] += np.sqrt(rx * rx + ry * ry)
     out.group_start[states.shape[0]] = q
 
 
 @compiled_unchecked
-def _move(patches: PatchSet, p: int, pose: tuple[float, float, float, float], out: PatchSet, q: int) -> None:
-    """Copy patch ``p`` to ``q``, turned and moved to ``pose``: x, y, cos and sin of the yaw."""
-    x, y, c, s = pose
+def _move(patches: PatchSet, p: int, pose: Pose, out: PatchSet, q: int) -> None:
+    """Copy patch ``p`` to ``q``, turned and moved to ``pose``."""
+    x, y, z, c, s = pose
     for e in range(0, 9, 3):
         gx, gy = patches.geometry[p, e], patches.geometry[p, e + 1]
         out.geometry[q, e], out.geometry[q, e + 1] = c * gx - s * gy, s * gx + c * gy
         out.geometry[q, e + 2] = patches.geometry[p, e + 2]
     out.geometry[q, 0] += x
     out.geometry[q, 1] += y
+    out.geometry[q, 2] += z
     out.texel[q], out.look[q], out.tag[q] = patches.texel[p], patches.look[p], patches.tag[p]
 
 
@@ -117,14 +127,12 @@ def _throw(models: Models, m: int) -> tuple[float, float]:
 
 
 @compiled_unchecked
-def _throw_shadow(
-    models: Models, m: int, pose: tuple[float, float, float, float], under: int, out: PatchSet, q: int
-) -> int:
+def _throw_shadow(models: Models, m: int, pose: Pose, under: int, out: PatchSet, q: int) -> int:
     """Put the sun shadow of a box from ``q`` on; the next free patch.
 
     It is the plan of the box swept along the ground: the plan where that ends, and two parallelograms.
     """
-    x, y, c, s = pose
+    x, y, z, c, s = pose
     length, width = _SHADOW_PLAN * models.size_m[m, 0], _SHADOW_PLAN * models.size_m[m, 1]
     rx, ry = _throw(models, m)
     ux, uy, vx, vy = c * length, s * length, s * width, -c * width  # along the vehicle and to its right
@@ -137,7 +145,7 @@ def _throw_shadow(
             out.look[q, j] = 1.0  # the tint
         out.tag[q, SIDES] = TWO_SIDED
         g = out.geometry[q]
-        g[2], g[5], g[8] = _SHADOW_M, 0.0, 0.0
+        g[2], g[5], g[8] = z + _SHADOW_M, 0.0, 0.0
         if k == 0:
             g[0], g[1], g[3], g[4], g[6], g[7] = cx + rx, cy + ry, ux, uy, vx, vy
         elif k == 1:  # the sweep of the side that is turned from the sun
@@ -165,11 +173,11 @@ def _lay(out: PatchSet, q: int, texels_per_m: float) -> None:
 
 
 class Fleet:
-    """All vehicle models of a world, ready to be placed.
+    """All models of vehicles and people of a world, ready to be placed.
 
     Args:
         world: whose models and sun are used.
-        shadows: whether vehicles throw sun shadows.
+        shadows: whether they throw sun shadows.
 
     Attributes:
         size_m: ``(models, 3)`` length, width, height.
@@ -177,18 +185,23 @@ class Fleet:
 
     def __init__(self, world: World, shadows: bool) -> None:
         self._numbers = {name: number for number, name in enumerate(world.vehicles)}
-        patches = packed(list(world.vehicles.values()), world.sun)
+        self._people = {name: len(world.vehicles) + (PHASES + 1) * n for n, name in enumerate(world.people)}
+        poses = [mesh for meshes in world.people.values() for mesh in meshes]
+        patches = packed([*world.vehicles.values(), *poses], world.sun)
         self._counts = np.diff(patches.group_start) + _SWEEPS * shadows
         kinds = [VEHICLE_KINDS[kind] for kind, _ in world.vehicles]
-        self.size_m = np.array([(k.length_m, k.width_m, k.height_m) for k in kinds]).reshape(-1, 3)
+        sizes = [(k.length_m, k.width_m, k.height_m) for k in kinds]
+        sizes += [PEOPLE_KINDS[kind] for kind, _ in world.people for _ in range(PHASES + 1)]
+        self.size_m = np.array(sizes).reshape(-1, 3)
         self._models = Models(patches, self.size_m, world.sun, float(world.ground_texels_per_m), bool(shadows))
 
-    def models(self, vehicles: Sequence[VehicleState]) -> NDArray[np.int64]:
-        """Number of each vehicle's model."""
-        return np.array([self._numbers[v.kind, v.colour] for v in vehicles], np.int64)
+    def models(self, vehicles: Sequence[VehicleState], people: Sequence[PersonState] = ()) -> NDArray[np.int64]:
+        """Number of each vehicle's model, then of each person's."""
+        numbers = [self._numbers[v.kind, v.colour] for v in vehicles]
+        return np.array(numbers + [self._people[p.kind, p.look] + p.pose for p in people], np.int64)
 
     def placed(self, models: NDArray[np.int64], states: NDArray[np.float64]) -> PatchSet:
-        """Patches of the vehicles, one group each; vehicle i is rigid body i + 1.
+        """Patches of vehicles and people, one group each; number i is rigid body i + 1.
 
         Args:
             models: ``(n,)`` numbers.
@@ -207,10 +220,22 @@ class Fleet:
         return patches
 
 
-def moving_states(vehicles: Sequence[VehicleState]) -> NDArray[np.float64]:
-    """``(n, 5)`` x and y [m], yaw [rad], speed [m/s] and yaw rate [rad/s], one row a vehicle."""
-    states = [(v.x_m, v.y_m, v.yaw_rad, v.speed_mps, v.yaw_rate_radps) for v in vehicles]
-    return np.array(states, np.float64).reshape(-1, 5)
+def moving_states(
+    vehicles: Sequence[VehicleState], people: Sequence[PersonState] = (), underpasses: Float64s | None = None
+) -> NDArray[np.float64]:
+    """Where everybody is, vehicles first.
+
+    Returns:
+        ``(n, 7)`` x, y [m], yaw [rad], speed [m/s], yaw rate [rad/s], height of the ground [m] and share of the sky's
+        light, which is less than 1 in ``underpasses``.
+    """
+    states = [(v.x_m, v.y_m, v.yaw_rad, v.speed_mps, v.yaw_rate_radps, 0.0, 1.0) for v in vehicles]
+    states += [(p.x_m, p.y_m, p.yaw_rad, p.speed_mps, 0.0, p.z_m, 1.0) for p in people]
+    out = np.array(states, np.float64).reshape(-1, 7)
+    if underpasses is not None and len(underpasses):
+        for row in out:
+            row[6] = light_at(underpasses, float(row[0]), float(row[1]))
+    return out
 
 
 @compiled_unchecked
@@ -226,7 +251,7 @@ def body_motions(states: Float64s, dt_s: float) -> tuple[Float64s, Float64s]:
     """
     turns, shifts = np.zeros((1 + len(states), 3, 3)), np.zeros((1 + len(states), 3))
     turns[0, 0, 0] = turns[0, 1, 1] = turns[0, 2, 2] = 1.0
-    for n, (x, y, yaw, speed, yaw_rate) in enumerate(states, 1):
+    for n, (x, y, yaw, speed, yaw_rate, _, _) in enumerate(states, 1):
         c, s = np.cos(yaw_rate * dt_s), np.sin(yaw_rate * dt_s)
         turns[n, 0, 0], turns[n, 0, 1], turns[n, 1, 0], turns[n, 1, 1], turns[n, 2, 2] = c, -s, s, c, 1.0
         shifts[n, 0] = x + speed * dt_s * np.cos(yaw) - (c * x - s * y)
