@@ -179,16 +179,25 @@ class Renderer:
             see_through(radiance, veil)
         if weather.sun > 0.0:
             self._add_sun(radiance, seen.depth, view, calibration.intrinsic)
-        # Exposure control, glare and the sensor.
-        mean = mean_radiance(radiance) / RADIANCE_UNIT
-        wanted = min(weather.exposure_target / max(mean, 1e-6), weather.largest_gain)
+        wanted = self._wanted_gain(radiance)
         used = wanted if gain is None else gain
+        return RenderedImage(self._exposed(memory, used, noise_seed), adapted_gain(used, wanted, next_s))
+
+    def _wanted_gain(self, radiance: Int64s) -> float:
+        """What the exposure control aims at."""
+        mean = mean_radiance(radiance) / RADIANCE_UNIT
+        return min(self.weather.exposure_target / max(mean, 1e-6), self.weather.largest_gain)
+
+    def _exposed(self, memory: _Memory, gain: float, noise_seed: int) -> NDArray[np.uint8]:
+        """What the sensor makes of the light, which at night glares around lamps."""
+        radiance = memory.canvas.radiance
+        height, width = radiance.shape
         if self._is_dark:
-            add_glare(radiance, RADIANCE_UNIT / used, GLARE)
-        image = np.empty((calibration.height, calibration.width, 3), np.uint8)
-        offset = _noise_offsets(noise_seed, calibration.height)
-        expose(radiance, memory.canvas.flow, offset, used / RADIANCE_UNIT, memory.sensor, image)
-        return RenderedImage(image, adapted_gain(used, wanted, next_s))
+            add_glare(radiance, RADIANCE_UNIT / gain, GLARE)
+        image = np.empty((height, width, 3), np.uint8)
+        offset = _noise_offsets(noise_seed, height)
+        expose(radiance, memory.canvas.flow, offset, gain / RADIANCE_UNIT, memory.sensor, image)
+        return image
 
     def _add_sun(self, radiance: Int64s, depth: Float32s, view: View, intrinsic: Float64s) -> None:
         """The sun where it stands in the picture or near its edge: the sky about it, and glare if no house hides it."""
