@@ -25,7 +25,7 @@ class SituationShares:
     ``standing_cross_traffic``); all others put a difficulty of the paper on the stage on purpose.
     """
 
-    standing: float = 0.06
+    standing: float = 0.05
     """The car hardly moves."""
     standing_cross_traffic: float = 0.04
     """The car waits at a crossing while vehicles pass in front of it."""
@@ -39,7 +39,7 @@ class SituationShares:
     """A dense platoon comes the other way."""
     blank_wall: float = 0.05
     """One windowless wall along a whole side of the way, swept by the front view in a turn."""
-    fast_straight: float = 0.05
+    fast_straight: float = 0.03
     """Straight on at 11 to 14 m/s."""
     tight_turn: float = 0.05
     """A turn at the smallest radius the streets allow."""

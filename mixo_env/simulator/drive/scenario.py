@@ -12,6 +12,7 @@ from mixo_env.nuscenes.selections import FIRST_SIMULATED_SCENE
 from mixo_env.simulator.config import SimulationConfig
 from mixo_env.simulator.drive.localisation import LAG_RANGE_S
 from mixo_env.simulator.drive.rig import Rig, draw_rig
+from mixo_env.simulator.drive.targets import Motion, deal_motions
 from mixo_env.simulator.drive.vehicle_bus import BusSensors, draw_sensors
 
 LOCATION = "mixocity"
@@ -26,11 +27,12 @@ _COURSE_VARIATION_RAD = np.radians(0.2)
 
 @dataclass(frozen=True)
 class ScenePlan:
-    """One scene: its number in the data set from 0, name, staged situation and time of the first key frame."""
+    """One scene: its number in the data set from 0, name, situation, motion and time of the first key frame."""
 
     number: int
     name: str
     situation: str
+    motion: Motion
     start_us: int
 
 
@@ -78,6 +80,7 @@ def plan_logs(config: SimulationConfig) -> tuple[LogPlan, ...]:
     suns = iter(_dealt({"low": config.low_sun}, weathers.count("day"), "high", generator(config, "sun")))
     textures = _dealt({"low": config.low_texture}, config.logs, "usual", generator(config, "texture"))
     situations = _dealt(config.situations.by_name(), config.scenes, "ordinary", generator(config, "situations"))
+    motions = deal_motions(generator(config, "motion"), situations)
     lag_s = {car: generator(config, "lag", number).uniform(*LAG_RANGE_S) for number, car in enumerate(_CARS)}
     logs = []
     for number in range(config.logs):
@@ -91,6 +94,7 @@ def plan_logs(config: SimulationConfig) -> tuple[LogPlan, ...]:
                 number=scene,
                 name=f"scene-{FIRST_SIMULATED_SCENE + scene:04d}",
                 situation=situations[scene],
+                motion=motions[scene],
                 start_us=(int(begin.timestamp()) + _SCENE_EVERY_S * (scene - first + 1)) * 1_000_000,
             )
             for scene in range(first, min(first + config.scenes_per_log, config.scenes))

@@ -56,7 +56,7 @@ class SimulatedScene:
 def scene_drive(config: SimulationConfig, log: LogPlan, plan: ScenePlan) -> Drive:
     """The drive of one scene."""
     rng = generator(config, "drive", plan.number)
-    return plan_drive(rng, plan.situation, config.seconds, log.course_offset_rad)
+    return plan_drive(rng, plan.situation, config.seconds, log.course_offset_rad, plan.motion)
 
 
 def simulate_scene(config: SimulationConfig, log: LogPlan, plan: ScenePlan, root: Path) -> SimulatedScene:
