@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixo_env.errors import ConfigurationError
+from mixo_env.simulator.city.land import Land
 from mixo_env.simulator.drive.routes import LEFT, RIGHT, STEP_M, STRAIGHT, Route, plan_route
 from mixo_env.simulator.drive.targets import STANDING, TURNING, Motion
 
@@ -28,7 +29,8 @@ LAST_IMAGE_S = 0.5
 CROWDED = frozenset({"side_queue", "oncoming_platoon"})
 """The other lane has no room to swerve into."""
 
-_PASSING = 0.35  # probability of a vehicle in the way, per block
+_BEND_PM = 0.02  # curvature below which a curve is a bend
+_PASSING = 0.2  # probability of a vehicle in the way, per block
 _STOPPING = 0.45  # probability of having to wait, per crossing
 
 # A scene is cut out of a longer drive where it does what it is to do, within these tolerances; tried so many drives.
@@ -52,12 +54,13 @@ class Drive:
     Attributes:
         time_s: from -MARGIN_S to the scene's length + MARGIN_S.
         s_m: distance along the route.
-        x_m, y_m: rear-axle centre, map frame.
+        x_m, y_m, z_m: rear-axle centre on the ground, map frame.
         yaw_rad: heading of the body, not wrapped.
         speed_mps: of the rear axle.
         acceleration_mps2: along the course.
         yaw_rate_radps: of the heading.
-        roll_rad, pitch_rad, heave_m: of the body on its springs, about the axes and origin of the ego frame.
+        roll_rad, pitch_rad, heave_m: of the body on its springs, about the axes and origin of the ego frame; roll and
+            pitch contain the slope of the road.
         route: the path that is driven.
         situation: the staged situation, or "ordinary".
     """
@@ -66,6 +69,7 @@ class Drive:
     s_m: FloatArray
     x_m: FloatArray
     y_m: FloatArray
+    z_m: FloatArray
     yaw_rad: FloatArray
     speed_mps: FloatArray
     acceleration_mps2: FloatArray
@@ -82,7 +86,7 @@ class Drive:
 
 
 def plan_drive(
-    rng: np.random.Generator, situation: str, seconds: float, course_offset_rad: float, motion: Motion
+    rng: np.random.Generator, situation: str, seconds: float, course_offset_rad: float, motion: Motion, land: Land
 ) -> Drive:
     """A drive of ``seconds`` (and margins) in a staged situation, cut out of a longer one.
 
@@ -92,11 +96,12 @@ def plan_drive(
         seconds: length of the scene.
         course_offset_rad: course minus heading of this car when driving straight on.
         motion: what the scene is to do; the nearest of several drives where none does exactly that.
+        land: of the city.
     """
     best, least = None, np.inf
     for _ in range(_TRIES):
         cruise_mps = _cruise_mps(rng, situation, motion)
-        route = _route(rng, situation, cruise_mps, motion)
+        route = _route(rng, situation, cruise_mps, motion, land)
         time_s, s_m, speed_mps = _driven(rng, route, situation, cruise_mps, seconds)
         starts, misses = _cuts(route, situation, motion, seconds, time_s, s_m)
         if not len(starts):
@@ -114,7 +119,7 @@ def plan_drive(
     scene_s = np.arange(-MARGIN_S, seconds + MARGIN_S + 0.5 / DRIVE_RATE_HZ, 1.0 / DRIVE_RATE_HZ)
     s = np.interp(scene_s + start_s, time_s, s_m)
     speed = np.interp(scene_s + start_s, time_s, speed_mps)
-    return _with_body(rng, route, situation, scene_s, s, speed, course_offset_rad)
+    return _with_body(rng, route, situation, (scene_s, s, speed), course_offset_rad, land)
 
 
 def _cruise_mps(rng: np.random.Generator, situation: str, motion: Motion) -> float:
@@ -126,9 +131,9 @@ def _cruise_mps(rng: np.random.Generator, situation: str, motion: Motion) -> flo
     return float(np.clip(rng.normal(9.0, 1.9), max(1.08 * motion.mean_mps, 4.5), 13.5))
 
 
-def _route(rng: np.random.Generator, situation: str, cruise_mps: float, motion: Motion) -> Route:
+def _route(rng: np.random.Generator, situation: str, cruise_mps: float, motion: Motion, land: Land) -> Route:
     if situation == "fast_straight":
-        return plan_route(rng, [STRAIGHT] * 7, cruise_mps)
+        return plan_route(rng, [STRAIGHT] * 7, cruise_mps, land)
     moves = [int(move) for move in rng.choice([LEFT, STRAIGHT, RIGHT], size=6, p=[0.06, 0.88, 0.06])]
     number, side = int(rng.integers(2, 4)), int(rng.choice([LEFT, RIGHT]))
     if situation in TURNING or motion.turned_rad > _ONE_TURN_RAD:
@@ -138,7 +143,7 @@ def _route(rng: np.random.Generator, situation: str, cruise_mps: float, motion: 
     if motion.turned_rad > _THREE_TURNS_RAD:
         moves[number + 2] = side
     passing = 0.0 if situation in CROWDED else _PASSING
-    return plan_route(rng, moves, cruise_mps, situation == "tight_turn", passing)
+    return plan_route(rng, moves, cruise_mps, land, situation == "tight_turn", passing)
 
 
 def _driven(
@@ -149,8 +154,10 @@ def _driven(
     flow = np.ones_like(route.s_m)  # traffic lets the car go at its own speed only now and then
     for wavelength_m in (rng.uniform(40, 70), rng.uniform(90, 160)):
         flow += (0.02 if fast else 0.055) * (np.sin(2 * np.pi * (route.s_m / wavelength_m + rng.uniform())) - 1.0)
-    lateral_limit = rng.uniform(0.6, 1.4)
-    limit = np.minimum(cruise_mps * flow, np.sqrt(lateral_limit / np.maximum(np.abs(route.curvature_pm), 1e-4)))
+    lateral_limit = rng.uniform(0.6, 1.4) * np.ones_like(route.s_m)
+    curvature = np.maximum(np.abs(route.curvature_pm), 1e-4)
+    lateral_limit *= 1.0 + 1.0 / (1.0 + (curvature / _BEND_PM) ** 2)  # bends are taken faster than turns
+    limit = np.minimum(cruise_mps * flow, np.sqrt(lateral_limit / curvature))
 
     stops: dict[int, float] = {}
     if not fast:
@@ -225,29 +232,46 @@ def _with_body(
     rng: np.random.Generator,
     route: Route,
     situation: str,
-    time_s: FloatArray,
-    s: FloatArray,
-    speed: FloatArray,
+    driven: tuple[FloatArray, FloatArray, FloatArray],
     course_offset_rad: float,
+    land: Land,
 ) -> Drive:
-    """Positions along the route and the motion of the body on its springs."""
+    """Positions along the route and the motion of the body on its springs.
+
+    Args:
+        rng: shakes the body.
+        route: that is driven.
+        situation: that is staged.
+        driven: times, arc lengths and speeds.
+        course_offset_rad: course minus heading when driving straight on.
+        land: whose slope the body follows.
+    """
+    time_s, s, speed = driven
     x, y, course = route.at(s)
     curvature = np.interp(s, route.s_m, route.curvature_pm)
     forward = np.gradient(speed, 1.0 / DRIVE_RATE_HZ)
     sideways = curvature * speed**2
     yaw = course - course_offset_rad - _SLIP_PER_ACCELERATION * sideways
     shaking = np.minimum(speed / 8.0, 1.2)
+    rise_x, rise_y = land.rise(*(np.interp(s, route.s_m, grid) for grid in (route.u_m, route.v_m)))
+    uphill = np.arctan(rise_x * np.cos(yaw) + rise_y * np.sin(yaw))
+    banked = np.arctan(rise_y * np.cos(yaw) - rise_x * np.sin(yaw))
     return Drive(
         time_s,
         s,
         x,
         y,
+        np.interp(s, route.s_m, route.z_m),
         yaw,
         speed,
         forward,
         np.gradient(yaw, 1.0 / DRIVE_RATE_HZ),
-        roll_rad=_sprung(_ROLL_PER_ACCELERATION * sideways) + _ROAD_ROLL_RAD * shaking * road_noise(rng, len(time_s)),
-        pitch_rad=_sprung(_PITCH_PER_ACCELERATION * forward) + _ROAD_PITCH_RAD * shaking * road_noise(rng, len(time_s)),
+        roll_rad=banked
+        + _sprung(_ROLL_PER_ACCELERATION * sideways)
+        + _ROAD_ROLL_RAD * shaking * road_noise(rng, len(time_s)),
+        pitch_rad=-uphill  # the nose down is positive
+        + _sprung(_PITCH_PER_ACCELERATION * forward)
+        + _ROAD_PITCH_RAD * shaking * road_noise(rng, len(time_s)),
         heave_m=_ROAD_HEAVE_M * shaking * road_noise(rng, len(time_s)),
         route=route,
         situation=situation,

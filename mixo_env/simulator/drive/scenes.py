@@ -14,6 +14,7 @@ from mixo_env.geometry import rotation_from_roll_pitch_yaw, wrap_angle_rad
 from mixo_env.nuscenes.scene import CameraReel, ExactPoses, Scene
 from mixo_env.nuscenes.selections import conditions_of
 from mixo_env.nuscenes.writer import image_name
+from mixo_env.simulator.city.land import land_of
 from mixo_env.simulator.city.streets import BLOCK_M, SIDEWALK_M
 from mixo_env.simulator.config import SimulationConfig
 from mixo_env.simulator.drive.clock import SceneTimes, scene_times
@@ -56,7 +57,7 @@ class SimulatedScene:
 def scene_drive(config: SimulationConfig, log: LogPlan, plan: ScenePlan) -> Drive:
     """The drive of one scene."""
     rng = generator(config, "drive", plan.number)
-    return plan_drive(rng, plan.situation, config.seconds, log.course_offset_rad, plan.motion)
+    return plan_drive(rng, plan.situation, config.seconds, log.course_offset_rad, plan.motion, land_of(log.world_seed))
 
 
 def simulate_scene(config: SimulationConfig, log: LogPlan, plan: ScenePlan, root: Path) -> SimulatedScene:
@@ -143,11 +144,11 @@ def camera_pose(
     """Where a camera of the pitching, rolling and heaving body really is."""
     from mixo_env.simulator.picture.render import CameraPose
 
-    x, y, yaw, heave, roll, pitch = (
-        float(drive.at(name, time_s)) for name in ("x_m", "y_m", "yaw_rad", "heave_m", "roll_rad", "pitch_rad")
+    x, y, z, yaw, heave, roll, pitch = (
+        float(drive.at(name, time_s)) for name in ("x_m", "y_m", "z_m", "yaw_rad", "heave_m", "roll_rad", "pitch_rad")
     )
     body = rotation_from_roll_pitch_yaw(roll, pitch, yaw)
-    return CameraPose(body @ rotation_ego_from_camera, np.array([x, y, heave]) + body @ translation_m)
+    return CameraPose(body @ rotation_ego_from_camera, np.array([x, y, z + heave]) + body @ translation_m)
 
 
 def blank_sides(config: SimulationConfig, log: LogPlan) -> tuple[BlockSide, ...]:
@@ -163,17 +164,17 @@ def blank_sides(config: SimulationConfig, log: LogPlan) -> tuple[BlockSide, ...]
         # The wall stands on the outer side of a turn, so that the front view sweeps along it.
         outer = -np.sign(turned) if abs(turned) > 0.5 else generator(config, "wall", plan.number).choice([-1, 1])
         inside = (x - outer * 15.0 * np.sin(course), y + outer * 15.0 * np.cos(course))
-        for px, py in zip(*inside, strict=True):
-            side = _nearest_side(px, py)
+        for u, v in zip(*land_of(log.world_seed).grid(*inside), strict=True):
+            side = _nearest_side(u, v)
             if side:
                 sides[side] = None
     return tuple(sides)
 
 
-def _nearest_side(x: float, y: float) -> BlockSide | None:
-    """The house front next to a point behind it, ``None`` on a street."""
-    column, row = int(np.floor(x / BLOCK_M)), int(np.floor(y / BLOCK_M))
-    u, v = x - column * BLOCK_M, y - row * BLOCK_M
+def _nearest_side(u: float, v: float) -> BlockSide | None:
+    """The house front next to a point of the grid behind it, ``None`` on a street."""
+    column, row = int(np.floor(u / BLOCK_M)), int(np.floor(v / BLOCK_M))
+    u, v = u - column * BLOCK_M, v - row * BLOCK_M
     if min(u, v, BLOCK_M - u, BLOCK_M - v) < SIDEWALK_M:
         return None
     distances = {"west": u, "east": BLOCK_M - u, "south": v, "north": BLOCK_M - v}
