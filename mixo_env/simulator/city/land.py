@@ -138,7 +138,7 @@ FLAT = Land(_NONE, _NONE, _NONE, _NONE)
 
 def land_of(seed: int) -> Land:
     """The land of one city."""
-    rng = np.random.default_rng([seed, 5])
+    rng = np.random.default_rng([seed, 7])
     slopes = np.array([rng.uniform(*_LONG_SLOPE), rng.uniform(0.0, _ACROSS)])
     bends = [
         Profile(_waves(rng, [slope], _LONG_BEND_M), _steps(rng)) for slope in (slopes if rng.uniform() < 0.5 else slopes[::-1])

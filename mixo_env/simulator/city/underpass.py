@@ -15,10 +15,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mixo_env.simulator.city.land import FLAT, Land
+from mixo_env.simulator.city.laying import ground_aligned, laid
 from mixo_env.simulator.city.materials import KERB_M, Materials
 from mixo_env.simulator.city.mesh import SHADE, Mesh, Patch, Surface, Vector, joined, mesh_of, placed, quad
 from mixo_env.simulator.city.streets import BLOCK_M, HALF_ROAD_M, SIDEWALK_M
-from mixo_env.simulator.city.vehicle_models import ground_aligned
 
 CLEARANCE_M, DECK_M = 4.6, 6.2
 """Height of the underside and of the parapet."""
@@ -30,7 +31,7 @@ _OVERLAY_M = 0.015  # above the ground, and above the sun shadows of vehicles, o
 
 
 class Underpass(NamedTuple):
-    """One bridge: over the street along ``axis`` (0 = x, 1 = y) at (x, y), which is ``length_m`` long inside."""
+    """One bridge: over the street along ``axis`` (0 = x, 1 = y) at (x, y), which is ``length_m`` long inside; on the street grid."""
 
     axis: int
     x_m: float
@@ -64,23 +65,23 @@ def sky_share(inside_m: NDArray[np.float64], length_m: float) -> NDArray[np.floa
     return np.where((inside_m < 0.0) | (inside_m > length_m), 1.0, np.minimum(total, 1.0))
 
 
-def light_at(underpasses: NDArray[np.float64], x_m: float, y_m: float) -> float:
+def light_at(underpasses: NDArray[np.float64], u_m: float, v_m: float) -> float:
     """Share of the sky's light that falls on what stands at a place.
 
     Args:
         underpasses: ``(n, 4)`` rows of :class:`Underpass`.
-        x_m: map frame.
-        y_m: likewise.
+        u_m: on the street grid.
+        v_m: likewise.
     """
     for axis, x, y, length in underpasses.tolist():
-        along, across = (x_m - x, y_m - y) if axis == 0.0 else (y_m - y, x_m - x)
+        along, across = (u_m - x, v_m - y) if axis == 0.0 else (v_m - y, u_m - x)
         if abs(across) < SIDEWALK_M and abs(along) < 0.5 * length:
             return float(sky_share(np.array(along + 0.5 * length), length))
     return 1.0
 
 
-def underpass_mesh(materials: Materials, bridge: Underpass) -> Mesh:
-    """The bridge, its abutments and the darkened ground below, map frame."""
+def underpass_mesh(materials: Materials, bridge: Underpass, land: Land = FLAT) -> Mesh:
+    """The bridge, its abutments and the darkened ground below, on the map."""
     half = 0.5 * bridge.length_m
     stone = replace(materials.concrete, tint=(0.75, 0.74, 0.72))
     patches: list[Patch] = []
@@ -106,7 +107,8 @@ def underpass_mesh(materials: Materials, bridge: Underpass) -> Mesh:
     turn = 0.5 * np.pi * bridge.axis
     body = placed(mesh_of(patches), bridge.x_m, bridge.y_m, turn)
     floor = placed(mesh_of(ground), bridge.x_m, bridge.y_m, turn)
-    return joined([body, ground_aligned(floor, materials.ground.texels_per_m[0])])
+    floor = ground_aligned(floor, materials.ground.texels_per_m[0], FLAT)
+    return joined([laid(body, land), laid(floor, land)])
 
 
 def _dimmed(tint: Vector, light: float) -> Vector:

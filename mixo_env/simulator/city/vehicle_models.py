@@ -303,7 +303,7 @@ def vehicle_models(
     """One mesh per (kind, colour): x forward, y left, z up, origin at the centre on the ground.
 
     The last patch of each is the dark ground under the vehicle; it is re-textured when the vehicle is put somewhere
-    (:func:`ground_aligned`).
+    (``laying.ground_aligned``).
     """
     glass = atlas.add(_glass(rng))
     models = {}
@@ -363,11 +363,3 @@ def _model(
     under = Surface(ground, scale, tint=(0.1, 0.1, 0.1), detail=0.5, material=SHADE)
     parts.append(quad(under, (tail - 0.05, half, 0.02), (length + 0.1, 0, 0), (0, -2 * half, 0)))
     return mesh_of(parts)
-
-
-def ground_aligned(patches: Mesh, texels_per_m: float) -> Mesh:
-    """Ground patches that lie anywhere, their texture taken from the map position below them."""
-    out = patches.copy()
-    u, v, origin = patches["edge_u"], patches["edge_v"], patches["origin"]
-    out["texel"] = texels_per_m * np.stack([u[:, 0], v[:, 0], origin[:, 0], u[:, 1], v[:, 1], origin[:, 1]], axis=1)
-    return out

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Collection
 from dataclasses import dataclass
 
@@ -12,14 +13,16 @@ from mixo_env.errors import ConfigurationError
 from mixo_env.simulator.city.blocks import SIDES, City, SidePlan, build_pavement, build_side
 from mixo_env.simulator.city.furniture import LAMP_M, street_lamp, traffic_light, tree
 from mixo_env.simulator.city.ground import GROUND_PERIOD_M, ground_texture
+from mixo_env.simulator.city.land import FLAT, Land
+from mixo_env.simulator.city.laying import ground_aligned, laid
 from mixo_env.simulator.city.materials import city_materials
 from mixo_env.simulator.city.mesh import Mesh, PatchSet, mesh_of, packed, quad
 from mixo_env.simulator.city.people_models import people_models
 from mixo_env.simulator.city.shadows import EXTENT_M, Shadows
-from mixo_env.simulator.city.streets import HALF_CITY_BLOCKS, SIDEWALK_M
+from mixo_env.simulator.city.streets import BLOCK_M, HALF_CITY_BLOCKS, HALF_ROAD_M, SIDEWALK_M
 from mixo_env.simulator.city.textures import Atlas, detail_tile, quads, reductions, sky_tile
 from mixo_env.simulator.city.underpass import CLEARANCE_M, DECK_M, Underpass, underpass_at, underpass_mesh
-from mixo_env.simulator.city.vehicle_models import ground_aligned, vehicle_models
+from mixo_env.simulator.city.vehicle_models import vehicle_models
 
 BlockSide = tuple[int, int, str]
 """Column, row and side (in ``SIDES``) of a block; block (i, j) begins at the streets x = i and y = j."""
@@ -33,6 +36,7 @@ class World:
 
     Attributes:
         seed: the city's seed.
+        land: its shape.
         sun: ``(3,)`` unit vector towards the sun, map frame.
         static: patches of everything that never moves.
         vehicles: meshes of vehicles by kind and colour, x forward, origin at the centre on the ground.
@@ -41,14 +45,15 @@ class World:
         detail: fine-grain tile with reductions as :func:`quads`, one after the other.
         detail_start: first entry of each reduction.
         sky: clouds, ``(512, 512)`` bytes.
-        sunlight: ``(4096, 4096)`` sunlight on the ground, bytes.
-        shadow_height: ``(2048, 2048)`` float32 height in metres below which houses keep the sun out.
+        sunlight: ``(4096, 4096)`` sunlight on the ground, bytes, indexed by the street grid as the ground's texture is.
+        shadow_height: ``(2048, 2048)`` float32 height in metres below which houses keep the sun out, map frame.
         lamp_light: ``(1024, 1024)`` float32 light of the street lamps on the ground, per metre, 1 under a lamp.
         ground_texels_per_m: scale of the ground texture.
         underpasses: ``(n, 4)`` rows of ``Underpass``.
     """
 
     seed: int
+    land: Land
     sun: NDArray[np.float64]
     static: PatchSet
     vehicles: dict[tuple[str, int], Mesh]
@@ -102,6 +107,7 @@ class CityPlan:
         low_sun: the sun stands 7 to 16 degrees high and at most 12 degrees off the direction of a street, where houses
             leave it in sight; else 30 to 62 degrees, anywhere.
         variety: number of house fronts drawn.
+        land: bends of the streets and hills.
         ground_side: texels along the side of the ground texture, a power of two.
 
     Raises:
@@ -117,6 +123,7 @@ class CityPlan:
     low_sun: bool = False
     variety: int = 28
     ground_side: int = 4096
+    land: Land = FLAT
 
     def __post_init__(self) -> None:
         for name, share in (
@@ -153,10 +160,9 @@ def build_world(seed: int, plan: CityPlan = _USUAL) -> World:
     sun = _sun(sun_rng, plan.low_sun)
     trees = [tree(materials, tree_rng) for _ in range(12)]
     lamp, signals = street_lamp(materials, tree_rng), traffic_light(materials, tree_rng)
-    city = City(materials, trees, lamp, signals, vehicles, Shadows(sun), plan.blank_walls, plan.parked)
-    half = _GROUND_HALF_M
-    road = mesh_of([quad(materials.ground, (-half, half, 0.0), (2.0 * half, 0.0, 0.0), (0.0, -2.0 * half, 0.0))])
-    city.groups.append(ground_aligned(road, ground_per_m))
+    shadows = Shadows(sun, plan.land)
+    city = City(plan.land, materials, trees, lamp, signals, vehicles, shadows, plan.blank_walls, plan.parked)
+    city.groups += _ground(city, ground_per_m, plan.half_blocks)
     bridges = _bridges(city, seed, plan)
     _blocks(city, seed, plan, bridges)
 
@@ -164,6 +170,7 @@ def build_world(seed: int, plan: CityPlan = _USUAL) -> World:
     texels, table = atlas.packed()
     return World(
         seed=seed,
+        land=plan.land,
         sun=sun,
         static=packed(city.groups, sun),
         vehicles=vehicles,
@@ -203,7 +210,7 @@ def _bridges(city: City, seed: int, plan: CityPlan) -> dict[tuple[int, int, int]
                 if bridge is None:
                     continue
                 bridges[axis, street, block] = bridge
-                city.groups.append(underpass_mesh(city.materials, bridge))
+                city.groups.append(underpass_mesh(city.materials, bridge, city.land))
                 sides = np.array([(-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0)])
                 reach = (0.5 * bridge.length_m, SIDEWALK_M) if axis == 0 else (SIDEWALK_M, 0.5 * bridge.length_m)
                 outline = sides * reach + (bridge.x_m, bridge.y_m)
@@ -211,21 +218,42 @@ def _bridges(city: City, seed: int, plan: CityPlan) -> dict[tuple[int, int, int]
     return bridges
 
 
-def _blocks(city: City, seed: int, plan: CityPlan, bridges: dict[tuple[int, int, int], Underpass]) -> None:
-    """All blocks, and around them a ring of which only the sides that face the city are built."""
-    half_blocks, blank_sides = plan.half_blocks, set(plan.blank_sides)
+def _ground(city: City, texels_per_m: float, half_blocks: int) -> list[Mesh]:
+    """The roads, and all around the city; blocks with a pavement need nothing below it."""
+    streets = BLOCK_M * np.arange(-HALF_CITY_BLOCKS - 1, HALF_CITY_BLOCKS + 2)
+    kerbs = np.ravel(streets[:, None] + [-HALF_ROAD_M, HALF_ROAD_M])
+    lines = [-_GROUND_HALF_M, *kerbs.tolist(), _GROUND_HALF_M]
+    groups = []
+    for (west, east), (south, north) in itertools.product(itertools.pairwise(lines), repeat=2):
+        column, row = (int(np.floor(0.5 * (low + high) / BLOCK_M)) for low, high in ((west, east), (south, north)))
+        in_block = all(HALF_ROAD_M * 2.1 < high - low < BLOCK_M for low, high in ((west, east), (south, north)))
+        if in_block and _faces(half_blocks, column, row):
+            continue
+        face = quad(city.materials.ground, (west, north, 0.0), (east - west, 0.0, 0.0), (0.0, south - north, 0.0))
+        groups.append(laid(ground_aligned(mesh_of([face]), texels_per_m, FLAT), city.land))
+    return groups
+
+
+def _faces(half_blocks: int, column: int, row: int) -> list[int]:
+    """Sides of a block that are built: all in the city, and those that face it in a ring around it."""
 
     def inside(column: int, row: int) -> bool:
         return -half_blocks <= column < half_blocks and -half_blocks <= row < half_blocks
 
     across = {"south": (0, -1), "east": (1, 0), "north": (0, 1), "west": (-1, 0)}
+    return [
+        number
+        for number, side in enumerate(SIDES)
+        if inside(column, row) or inside(column + across[side][0], row + across[side][1])
+    ]
+
+
+def _blocks(city: City, seed: int, plan: CityPlan, bridges: dict[tuple[int, int, int], Underpass]) -> None:
+    """All blocks, and around them a ring of which only the sides that face the city are built."""
+    half_blocks, blank_sides = plan.half_blocks, set(plan.blank_sides)
     for column in range(-half_blocks - 1, half_blocks + 1):
         for row in range(-half_blocks - 1, half_blocks + 1):
-            faces = [
-                number
-                for number, side in enumerate(SIDES)
-                if inside(column, row) or inside(column + across[side][0], row + across[side][1])
-            ]
+            faces = _faces(half_blocks, column, row)
             if not faces:
                 continue
             build_pavement(city, column, row)

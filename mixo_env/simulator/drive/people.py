@@ -16,6 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from mixo_env.simulator.city.land import Land
 from mixo_env.simulator.city.materials import KERB_M
 from mixo_env.simulator.city.people import LOOKS, PersonState
 from mixo_env.simulator.city.streets import BLOCK_M, HALF_CITY_BLOCKS, HALF_ROAD_M
@@ -23,6 +24,8 @@ from mixo_env.simulator.drive.drive import Drive
 from mixo_env.simulator.drive.traffic import Lane, Vehicle, car_itself, lanes_of, scene_clock
 
 FloatArray = NDArray[np.float64]
+Place = tuple[Lane, Land]
+"""A lane and the land that it lies on."""
 
 PER_METRE = 0.015
 """Median of the people per metre of pavement; gives about 7 in view of all cameras."""
@@ -54,29 +57,31 @@ class Person:
     x_m: FloatArray
     y_m: FloatArray
     z_m: FloatArray
-    yaw_rad: float
+    yaw_rad: FloatArray
     stride: FloatArray
 
     def state(self, time_s: float) -> PersonState:
         """Where the person is and in which pose at one instant of the scene."""
-        x, y, z, stride = (
-            float(np.interp(time_s, self.time_s, values)) for values in (self.x_m, self.y_m, self.z_m, self.stride)
+        x, y, z, yaw, stride = (
+            float(np.interp(time_s, self.time_s, values))
+            for values in (self.x_m, self.y_m, self.z_m, self.yaw_rad, self.stride)
         )
         step_s = float(self.time_s[1] - self.time_s[0])
         index = int(np.clip((time_s - self.time_s[0]) / step_s, 0, len(self.time_s) - 2))
         moved = self.x_m[index + 1] - self.x_m[index], self.y_m[index + 1] - self.y_m[index]
         speed = float(np.hypot(*moved)) / step_s
-        return PersonState(self.kind, self.look, x, y, z, self.yaw_rad, speed, stride % 1.0)
+        return PersonState(self.kind, self.look, x, y, z, yaw, speed, stride % 1.0)
 
 
 def stage_people(
-    rng: np.random.Generator, drive: Drive, seconds: float, vehicles: Sequence[Vehicle], weather: str
+    rng: np.random.Generator, drive: Drive, land: Land, seconds: float, vehicles: Sequence[Vehicle], weather: str
 ) -> tuple[Person, ...]:
     """All people near the car in one scene.
 
     Args:
         rng: draws who they are and where they go.
         drive: of the car.
+        land: of the city.
         seconds: length of the scene.
         vehicles: of the scene, the car not among them.
         weather: a key of ``SHARE_OF``.
@@ -87,17 +92,17 @@ def stage_people(
     own, crossing = lanes_of(drive, time_s)
     people: list[Person] = []
     for lane in dict.fromkeys((*own, *(lane.opposite for lane in own), *crossing)):
-        along = drive.at("x_m" if lane.axis == 0 else "y_m", time_s)
+        along = drive.route.on_grid(drive.at("s_m", time_s))[lane.axis]
         edge_m = (HALF_CITY_BLOCKS - 0.1) * BLOCK_M
         low, high = max(along.min() - _NEAR_M, -edge_m), min(along.max() + _NEAR_M, edge_m)
         if high <= low:
             continue
         for _ in range(int(rng.poisson(density * (high - low)))):
-            people += _walkers(rng, lane, time_s, rng.uniform(low, high), movers)
+            people += _walkers(rng, (lane, land), time_s, rng.uniform(low, high), movers)
         is_own = lane in own or lane.opposite in own
         rate = _CYCLISTS * (1.0 if is_own else 0.5) * SHARE_OF[weather]
         for _ in range(int(rng.poisson(rate))):
-            rider = _cyclist(rng, lane, time_s, rng.uniform(low, high))
+            rider = _cyclist(rng, (lane, land), time_s, rng.uniform(low, high))
             if not any(clash(rider, other) for other in movers) and not any(_meets(rider, other) for other in people):
                 people.append(rider)
     return tuple(people)
@@ -112,9 +117,10 @@ class _Walk(NamedTuple):
 
 
 def _walkers(
-    rng: np.random.Generator, lane: Lane, time_s: FloatArray, start_m: float, movers: Sequence[Vehicle]
+    rng: np.random.Generator, place: Place, time_s: FloatArray, start_m: float, movers: Sequence[Vehicle]
 ) -> list[Person]:
     """Whoever walks or stands together on the pavement beside a lane."""
+    lane, _ = place
     stands, together = rng.uniform() < _STANDING, rng.uniform() < _PAIRS
     speed = float(np.clip(rng.normal(1.3, 0.2), 0.7, 2.0))
     sense = int(rng.choice([-1, 1]))
@@ -126,15 +132,15 @@ def _walkers(
         if _on_carriageway(np.array([start_m]))[0]:
             return []
         return [
-            _on_pavement(lane, aside_m, time_s, np.full_like(time_s, start_m), turn, _Walk(int(looks[0]), 0.0, speed))
+            _on_pavement(place, aside_m, time_s, np.full_like(time_s, start_m), turn, _Walk(int(looks[0]), 0.0, speed))
         ]
     for wait_s in _WAITS_S:
         along = _walked(start_m, sense, speed, wait_s, time_s)
         heading = lane.axis * 0.5 * np.pi + (0.0 if sense > 0 else np.pi)
-        group = [_on_pavement(lane, aside_m, time_s, along, heading, _Walk(int(looks[0]), phases[0], speed))]
+        group = [_on_pavement(place, aside_m, time_s, along, heading, _Walk(int(looks[0]), phases[0], speed))]
         if together:
             beside_m = aside_m + (0.65 if aside_m < 8.85 else -0.65)
-            group.append(_on_pavement(lane, beside_m, time_s, along, heading, _Walk(int(looks[1]), phases[1], speed)))
+            group.append(_on_pavement(place, beside_m, time_s, along, heading, _Walk(int(looks[1]), phases[1], speed)))
         if not any(clash(person, other) for person in group for other in movers):
             return group
     return []
@@ -157,23 +163,27 @@ def _on_carriageway(along_m: FloatArray) -> NDArray[np.bool_]:
 
 
 def _on_pavement(
-    lane: Lane, aside_m: float, time_s: FloatArray, along_m: FloatArray, yaw_rad: float, who: _Walk
+    place: Place, aside_m: float, time_s: FloatArray, along_m: FloatArray, yaw_rad: float, who: _Walk
 ) -> Person:
     """Someone on the pavement beside ``lane``, stepping down where it crosses a street."""
-    x, y, _ = lane.at(along_m, aside_m)
+    lane, land = place
+    u, v, _ = lane.at(along_m, aside_m)
+    yaw = land.heading(u, v, np.full_like(time_s, yaw_rad))
     to_centre = np.abs(along_m - np.round(along_m / BLOCK_M) * BLOCK_M)
     height = KERB_M * np.clip((to_centre - HALF_ROAD_M) / _KERB_RAMP_M, 0.0, 1.0)
     way_m = np.abs(along_m - along_m[0])
     stride_m = _STRIDE_M * (who.speed_mps / 1.3) ** 0.5
-    return Person("walker", who.look, time_s, x, y, height, yaw_rad, who.phase + way_m / stride_m)
+    return Person("walker", who.look, time_s, *land.map(u, v), height, yaw, who.phase + way_m / stride_m)
 
 
-def _cyclist(rng: np.random.Generator, lane: Lane, time_s: FloatArray, start_m: float) -> Person:
+def _cyclist(rng: np.random.Generator, place: Place, time_s: FloatArray, start_m: float) -> Person:
     """Someone who cycles along the right edge of a lane."""
+    lane, land = place
     way_m = rng.uniform(4.0, 6.0) * (time_s - time_s[0])
-    x, y, heading = lane.at(start_m + lane.direction * way_m, _CYCLE_M + rng.uniform(-0.1, 0.1))
+    u, v, heading = lane.at(start_m + lane.direction * way_m, _CYCLE_M + rng.uniform(-0.1, 0.1))
+    yaw = land.heading(u, v, np.full_like(time_s, heading))
     stride = rng.uniform() + way_m / _CYCLE_STRIDE_M
-    return Person("cyclist", int(rng.integers(LOOKS)), time_s, x, y, np.zeros_like(x), heading, stride)
+    return Person("cyclist", int(rng.integers(LOOKS)), time_s, *land.map(u, v), np.zeros_like(u), yaw, stride)
 
 
 def clash(person: Person, vehicle: Vehicle) -> bool:

@@ -80,6 +80,16 @@ class Route:
         y = np.interp(s_m, self.s_m, self.y_m) + beyond * np.sin(course)
         return x, y, course
 
+    def on_grid(self, s_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """u and v at arc lengths; straight on beyond both ends."""
+        beyond = s_m - np.clip(s_m, self.s_m[0], self.s_m[-1])
+        end = np.where(beyond > 0, -1, 1)
+        u, v = (
+            np.interp(s_m, self.s_m, grid) + beyond * (grid[end] - grid[end - 1]) / STEP_M
+            for grid in (self.u_m, self.v_m)
+        )
+        return u, v
+
 
 def plan_route(
     rng: np.random.Generator,

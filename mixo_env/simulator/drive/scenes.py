@@ -64,8 +64,9 @@ def simulate_scene(config: SimulationConfig, log: LogPlan, plan: ScenePlan, root
     """Drive one scene and let every sensor but the cameras record it."""
     drive = scene_drive(config, log, plan)
     times = scene_times(generator(config, "clock", plan.number), plan.start_us, config.seconds)
-    vehicles = stage_traffic(generator(config, "traffic", plan.number), drive, config.seconds)
-    people = stage_people(generator(config, "people", plan.number), drive, config.seconds, vehicles, log.weather)
+    land = land_of(log.world_seed)
+    vehicles = stage_traffic(generator(config, "traffic", plan.number), drive, config.seconds, land)
+    people = stage_people(generator(config, "people", plan.number), drive, land, config.seconds, vehicles, log.weather)
     localisation = localise(generator(config, "localisation", plan.number), drive, log.localisation_lag_s)
     first_us, last_us = int(times.sample_us[0]), int(times.sample_us[-1])
     bus_rng = generator(config, "bus", plan.number)

@@ -117,7 +117,7 @@ class Renderer:
             float(world.ground_texels_per_m),
             self.weather.grain_levels,
         )
-        self._no_lamps = Lamps(np.zeros((1, 1), np.float32), np.zeros(2), np.zeros(8))
+        self._no_lamps = Lamps(np.zeros((1, 1), np.float32), np.zeros(2), np.zeros(3), np.zeros(8))
         self._light = _light(self.weather)
         # Radiance of the air as one packed word: what spray looks like.
         self._air = sum(int(RADIANCE_UNIT * part) << 21 * place for place, part in enumerate(self.weather.haze))
@@ -153,7 +153,8 @@ class Renderer:
         x_m, y_m = (0.5 * (start.position_m.item(i) + end.position_m.item(i)) for i in range(2))
         near = [v for v in vehicles if math.hypot(v.x_m - x_m, v.y_m - y_m) < weather.sight_m]
         about = [p for p in people if math.hypot(p.x_m - x_m, p.y_m - y_m) < _PEOPLE_SEEN_M]
-        states, models = moving_states(near, about, world.underpasses), self._fleet.models(near, about)
+        states = moving_states(near, about, world.underpasses, world.land)
+        models = self._fleet.models(near, about)
         rotation, position, motion = during_exposure(
             start.rotation_map_from_camera,
             start.position_m,
@@ -171,7 +172,8 @@ class Renderer:
         shade(Shot(seen, view, self._light, self._textures, self._daylight, lamps, motion), memory.canvas)
         # Rain, and what lens and glass do.
         if weather.wetness > 0.0:
-            mirror_road(radiance, seen, view, world.sky, weather.wetness, memory.images)
+            height_m = float(position[2] - self._ground_m(position))
+            mirror_road(radiance, seen, view, height_m, world.sky, weather.wetness, memory.images)
             wheels = slice(len(near))  # people come after the vehicles and throw nothing up
             puffs = spray_puffs(states[wheels], self._fleet.size_m[models[wheels]], view, weather.wetness)
             add_spray(radiance, seen.depth, puffs, view, world.sky, self._air)
@@ -223,7 +225,16 @@ class Renderer:
         if not self._is_dark:
             return self._no_lamps
         to_ego = np.column_stack([calibration.rotation_ego_from_camera, calibration.translation_m])
-        return Lamps(*light_window(self.world.lamp_light, EXTENT_M, position_m, near), to_ego[:2].ravel())
+        window, corner = light_window(self.world.lamp_light, EXTENT_M, position_m, near)
+        x, y = position_m[:2]
+        rise_x, rise_y = self.world.land.rise(*self.world.land.grid(x, y))
+        ground = np.array([self._ground_m(position_m) - rise_x * x - rise_y * y, rise_x, rise_y])
+        return Lamps(window, corner, ground, to_ego[:2].ravel())
+
+    def _ground_m(self, position_m: NDArray[np.float64]) -> float:
+        """Height of the ground below a point."""
+        land = self.world.land
+        return float(land.height(*land.grid(position_m[0], position_m[1])))
 
     def _memory(self, height: int, width: int) -> _Memory:
         """Working arrays for one picture size, made once."""
