@@ -15,7 +15,7 @@ SITUATIONS = ("ordinary", *SituationShares().by_name())
 
 def drives(situation: str, count: int, seconds: float = 20.0) -> list[Drive]:
     rng = np.random.default_rng([ord(letter) for letter in situation])
-    return [plan_drive(rng, situation, seconds, COURSE_OFFSET_RAD) for _ in range(count)]
+    return [plan_drive(rng, situation, seconds, COURSE_OFFSET_RAD, draw_motion(rng, situation), land_of(number)) for _ in range(count)]
 
 
 def within_scene(drive: Drive, seconds: float = 20.0) -> slice:

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from mixo_env.compiled import compiled_unchecked, inlined
 from mixo_env.simulator.city.streets import BLOCK_M, HALF_CITY_BLOCKS
 
 FloatArray = NDArray[np.float64]
@@ -30,9 +31,10 @@ STEEPEST = 0.052
 _HILL_M = (260.0, 480.0)  # wavelengths
 _LONG_BEND_M, _LONG_SLOPE = (420.0, 700.0), (0.03, 0.11)  # of long bends: wavelength and d(aside)/d(along)
 _ACROSS = 0.06  # both families of streets together bend by no more than this and the above where they cross
-_SHIFT_SHARE, _SHIFT_M = 0.25, (3.0, 8.0)  # blocks whose streets step aside on their way, and by how much
-_SHIFT_FROM, _SHIFT_TO = 0.24, 0.76  # of the way from crossing to crossing: those stay straight
-_NEWTON = 12
+_SHIFT_SHARE, _SHIFT_M = 0.3, (2.5, 6.0)  # blocks whose streets step aside on their way, and by how much
+_SHIFT_FROM, _SHIFT_TO = 0.18, 0.82  # of the way from crossing to crossing: those stay straight
+_ROUNDS = 10
+_BLOCKS = HALF_CITY_BLOCKS + 1
 
 
 @dataclass(frozen=True)
@@ -49,33 +51,68 @@ class Profile:
 
     def at(self, t: FloatArray) -> FloatArray:
         """Value."""
-        t = np.clip(t, -EDGE_M, EDGE_M)
-        value = np.zeros_like(t)
-        for amplitude, number, phase in self.waves:
-            value += amplitude * np.sin(number * t + phase)
-        if len(self.steps):
-            block, part = self._part(t)
-            value += np.concatenate([[0.0], np.cumsum(self.steps)])[block]
-            value += self.steps[block] * part**4 * (35.0 - 84.0 * part + 70.0 * part**2 - 20.0 * part**3)
-        return value
+        return _values(np.ravel(t).astype(np.float64), self.waves, self.steps).reshape(np.shape(t))
 
     def slope(self, t: FloatArray) -> FloatArray:
         """Derivative, 0 beyond the edge."""
-        inside = np.abs(t) <= EDGE_M
-        t = np.clip(t, -EDGE_M, EDGE_M)
-        slope = np.zeros_like(t)
-        for amplitude, number, phase in self.waves:
-            slope += amplitude * number * np.cos(number * t + phase)
-        if len(self.steps):
-            block, part = self._part(t)
-            slope += self.steps[block] * 140.0 * (part * (1.0 - part)) ** 3 / ((_SHIFT_TO - _SHIFT_FROM) * BLOCK_M)
-        return np.where(inside, slope, 0.0)
+        return _slopes(np.ravel(t).astype(np.float64), self.waves, self.steps).reshape(np.shape(t))
 
-    def _part(self, t: FloatArray) -> tuple[NDArray[np.int64], FloatArray]:
-        """Number of the block, and how much of its step is behind."""
-        blocks = t / BLOCK_M + HALF_CITY_BLOCKS + 1
-        block = np.clip(np.floor(blocks).astype(np.int64), 0, len(self.steps) - 1)
-        return block, np.clip((blocks - block - _SHIFT_FROM) / (_SHIFT_TO - _SHIFT_FROM), 0.0, 1.0)
+
+@inlined
+def _part(t: float) -> tuple[int, float]:
+    """Number of the block, and how much of its step is behind."""
+    blocks = t / BLOCK_M + _BLOCKS
+    block = min(max(int(np.floor(blocks)), 0), 2 * _BLOCKS - 1)
+    return block, min(max((blocks - block - _SHIFT_FROM) / (_SHIFT_TO - _SHIFT_FROM), 0.0), 1.0)
+
+
+@compiled_unchecked
+def _value(t: float, waves: FloatArray, steps: FloatArray) -> float:
+    t = min(max(t, -EDGE_M), EDGE_M)
+    value = 0.0
+    for n in range(len(waves)):
+        value += waves[n, 0] * np.sin(waves[n, 1] * t + waves[n, 2])
+    if len(steps) > 0:
+        block, part = _part(t)
+        value += np.sum(steps[:block])
+        value += steps[block] * part**4 * (35.0 - 84.0 * part + 70.0 * part**2 - 20.0 * part**3)
+    return value
+
+
+@compiled_unchecked
+def _values(t: FloatArray, waves: FloatArray, steps: FloatArray) -> FloatArray:
+    out = np.empty(len(t))
+    for i in range(len(t)):
+        out[i] = _value(t[i], waves, steps)
+    return out
+
+
+@compiled_unchecked
+def _slopes(t: FloatArray, waves: FloatArray, steps: FloatArray) -> FloatArray:
+    out = np.zeros(len(t))
+    for i in range(len(t)):
+        if abs(t[i]) <= EDGE_M:
+            for n in range(len(waves)):
+                out[i] += waves[n, 0] * waves[n, 1] * np.cos(waves[n, 1] * t[i] + waves[n, 2])
+            if len(steps) > 0:
+                block, part = _part(t[i])
+                out[i] += steps[block] * 140.0 * (part * (1.0 - part)) ** 3 / ((_SHIFT_TO - _SHIFT_FROM) * BLOCK_M)
+    return out
+
+
+@compiled_unchecked
+def _on_grid(
+    x: FloatArray, y: FloatArray, aside: tuple[FloatArray, FloatArray, FloatArray, FloatArray]
+) -> tuple[FloatArray, FloatArray]:
+    """u and v of points on the map; each round leaves a tenth of the error or less."""
+    waves_x, steps_x, waves_y, steps_y = aside
+    us, vs = x.copy(), y.copy()
+    for i in range(len(x)):
+        u, v = x[i], y[i]
+        for _ in range(_ROUNDS):
+            u, v = x[i] - _value(v, waves_x, steps_x), y[i] - _value(u, waves_y, steps_y)
+        us[i], vs[i] = u, v
+    return us, vs
 
 
 @dataclass(frozen=True)
@@ -106,11 +143,10 @@ class Land:
         return np.stack([*self.map(u, v), points[..., 2] + self.height(u, v)], axis=-1)
 
     def grid(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """u, v of points on the map; each step leaves a tenth of the error."""
-        u, v = x, y
-        for _ in range(_NEWTON):
-            u, v = x - self.aside_x.at(v), y - self.aside_y.at(u)
-        return u, v
+        """u, v of points on the map."""
+        aside = self.aside_x.waves, self.aside_x.steps, self.aside_y.waves, self.aside_y.steps
+        u, v = _on_grid(np.ravel(x).astype(np.float64), np.ravel(y).astype(np.float64), aside)
+        return u.reshape(np.shape(x)), v.reshape(np.shape(y))
 
     def bend(self, u: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray]:
         """dx/dv and dy/du: how the grid lies on the map; dx/du and dy/dv are 1."""

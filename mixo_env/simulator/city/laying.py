@@ -14,7 +14,10 @@ from mixo_env.simulator.city.mesh import Mesh, joined, placed
 from mixo_env.simulator.city.streets import BLOCK_M
 
 PIECE_M = 7.3
-"""Longest piece that follows the land as a flat patch; ten of them cross a block between its kerbs."""
+"""What follows the land is cut into pieces of at most this; ten of them cross a block between its kerbs ..."""
+
+WHOLE_M = 13.3
+"""... but nothing up to this is cut: a road from kerb to kerb is one piece."""
 
 FOUNDATION_M = 1.6
 """Walls of houses reach so far below the ground at their middle."""
@@ -96,7 +99,7 @@ def _moved(points: NDArray[np.float64], land: Land, height: float | None) -> NDA
 
 def _pieces(length_m: NDArray[np.float64]) -> NDArray[np.int64]:
     pieces = np.ceil(length_m / PIECE_M - 1e-9).astype(np.int64)
-    return np.where(length_m > BLOCK_M, 1, np.maximum(pieces, 1))
+    return np.where((length_m > BLOCK_M) | (length_m < WHOLE_M), 1, pieces)
 
 
 def _cut(mesh: Mesh, along: int, down: int) -> Mesh:
