@@ -60,6 +60,8 @@ class Shadows:
 
     def _thrown(self, points: NDArray[np.float64], height_m: float) -> NDArray[np.float64]:
         """Where the shadow of points ``(n, 2)`` at that height over the grid falls on the grid."""
+        if height_m == 0.0:
+            return points
         rise_x, rise_y = self._land.rise(*points.T)
         per_m = 1.0 / (self.sun[2] - rise_x * self.sun[0] - rise_y * self.sun[1])
         x, y = self._land.map(*points.T)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from mixo_env.errors import ConfigurationError
 from mixo_env.simulator.city.land import Land
 from mixo_env.simulator.drive.routes import LEFT, RIGHT, STEP_M, STRAIGHT, Route, plan_route
-from mixo_env.simulator.drive.targets import STANDING, TURNING, Motion
+from mixo_env.simulator.drive.targets import STANDING, STANDING_M, TURNING, Motion
 
 FloatArray = NDArray[np.float64]
 
@@ -218,13 +218,15 @@ def _cuts(
     miss_path = np.abs(moved_m - path_m) / max(_PATH_SHARE * path_m, _PATH_LEAST_M)
     turned = np.abs(last_rad - first_rad)
     miss_turned = np.abs(turned - motion.turned_rad) / max(_TURNED_SHARE * motion.turned_rad, _TURNED_LEAST_RAD)
-    good = np.ones(len(start), dtype=np.bool_)
+    whole_m = np.interp(start + seconds, time_s, s_m) - first_m
+    good = (whole_m < STANDING_M * seconds / 20.0) == (situation in STANDING)
     if situation in TURNING:
-        good[:] = False
+        turning = np.zeros_like(good)
         for turn_first_m, turn_last_m in route.turns_m:
             # A whole turn, or the first metres of one where the scene is too short for more.
             needed_m = turn_last_m if seconds >= 15 else turn_first_m + 1.0
-            good |= (first_m < turn_first_m) & (needed_m < first_m + moved_m)
+            turning |= (first_m < turn_first_m) & (needed_m < first_m + moved_m)
+        good &= turning
     return start[good], np.maximum(miss_path, miss_turned)[good]
 
 

@@ -23,22 +23,22 @@ _PATH_M = (0.01, 0.0125, 0.0137, 0.0246, 7.4767, 52.3476, 103.3792, 139.4496, 17
 _TURNED_DEG = (0.0, 0.0028, 0.0042, 0.0094, 0.1312, 1.0716, 8.8189, 54.4827, 89.3738, 97.4591, 119.7644, 149.1137,
                210.524)  # fmt: skip
 
-# More levels: the published shares of scenes under and over some values.
-_PATH_SHARES = ((0.0906, 5.0), (1.0 - 0.1929, 150.0), (1.0 - 0.0365, 200.0))
-_TURNED_SHARES = ((0.443, 5.0), (1.0 - 0.3459, 30.0), (1.0 - 0.2294, 60.0), (1.0 - 0.02, 120.0))
-
 REAL_SECONDS = 19.4
 """Mean length of a real scene: 198,315 frames at 12 Hz in 850 scenes."""
 
-STANDING_SHARE = 0.0906
-"""Share of real scenes shorter than 5 m."""
+STANDING_M, STANDING_SHARE = 5.0, 0.0906
+"""A scene that stands covers less than this, and so large a share of the real ones does."""
+
+# More levels: the published shares of scenes under and over some values.
+_PATH_SHARES = ((STANDING_SHARE, STANDING_M), (1.0 - 0.1929, 150.0), (1.0 - 0.0365, 200.0))
+_TURNED_SHARES = ((0.443, 5.0), (1.0 - 0.3459, 30.0), (1.0 - 0.2294, 60.0), (1.0 - 0.02, 120.0))
 
 STANDING = frozenset({"standing", "standing_cross_traffic"})
 TURNING = frozenset({"tight_turn", "lead_truck"})
 
 _TURN_DEG = (77.0, 103.0)  # a whole turn
 _TURN_PATH_M = (50.0, 135.0)
-_FAST_M, _FAST_TURN_DEG = (203.0, 345.0), (0.0, 12.0)
+_FAST_M, _FAST_TURN_DEG = (203.0, 285.0), (0.0, 12.0)
 _TWO_TURNS_DEG, _TWO_TURNS_PATH_M = 104.0, (96.0, 150.0)
 
 

@@ -123,8 +123,8 @@ def _candidates(rng: np.random.Generator, drive: Drive, time_s: FloatArray, land
     """Vehicles in the order of their importance; the first ones are the staged ones."""
     situation = drive.situation
     if situation == "lead_truck":
-        yield _in_own_lane(rng, drive, time_s, "truck", rng.uniform(0.7, 1.2), gap_m=rng.uniform(2.4, 3.5))
-    elif rng.uniform() < 0.35:
+        yield _in_own_lane(rng, drive, time_s, "truck", rng.uniform(0.7, 1.2), gap_m=rng.uniform(3.2, 4.2))
+    elif rng.uniform() < 0.35 and situation != "standing_cross_traffic":  # who leads would stand in the crossing
         yield _in_own_lane(rng, drive, time_s, _kind(rng), rng.uniform(1.4, 3.0), gap_m=rng.uniform(2.5, 6.0))
     if situation == "following_van":
         yield _in_own_lane(rng, drive, time_s, "van", -rng.uniform(0.4, 0.8), gap_m=rng.uniform(2.4, 3.0))
