@@ -115,7 +115,9 @@ def test_vehicles_in_the_way_stand_between_the_turns():
             assert all(passed_m + 20.0 < first or last < passed_m - 20.0 for first, last in route.turns_m)
             course = np.interp(passed_m, route.s_m, grid_course(route))
             assert np.sin(2.0 * course) == pytest.approx(0.0, abs=2e-3)  # the car passes straight along the street
-            assert max(from_centre_line(np.concatenate(route.on_grid(np.array([passed_m]))))) > 0.5 * BLOCK_M - 6.0  # in the middle of a block
+            assert (
+                max(from_centre_line(np.concatenate(route.on_grid(np.array([passed_m]))))) > 0.5 * BLOCK_M - 6.0
+            )  # in the middle of a block
 
 
 def test_routes_continue_straight_beyond_their_ends():

@@ -10,7 +10,7 @@ import numpy as np
 
 from docs._pages.data_sheet import comparison, prose
 from docs._pages.data_sheet.comparison import Differences, number
-from docs._pages.data_sheet.motion import motion_statistics, recorded_intervals, recorded_paths
+from docs._pages.data_sheet.motion import motion_samples, motion_statistics, recorded_intervals, recorded_paths
 from docs._pages.data_sheet.outcomes import (
     PAPER_BEST_FRONT,
     PAPER_BEST_OTHERS,
@@ -173,6 +173,7 @@ def _beside_real(recordings: Recordings, measured: Stored, real: Stored, differe
             comparison.pairs_table(measured["pairs"], real["pairs"], differences),
             prose.MOTION.format(frames=int(sum(len(path.x_m) for path in paths)), scenes=len(paths)),
             comparison.motion_table(motion, real["motion"], differences),
+            comparison.distances_table(motion_samples(paths), real["motion"], differences),
             comparison.shares_table(motion["shares"], real["motion"]["shares"], differences),
             f"![Distributions of the motion]({FIGURES}/motion.png)",
             prose.INTERVALS,

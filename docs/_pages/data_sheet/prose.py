@@ -63,8 +63,7 @@ low texture the barest."""
 BESIDE = """## Beside real data
 
 Real figures are computed by the same code from real files (KITTI odometry 06; one nuScenes key frame of six
-pictures; the CAN bus of four nuScenes scenes) or, for motion, taken from 135 trajectories of nuScenes' validation
-split. **Bold** figures lie outside their band. Motion: within {relative:.0f} % of the real figure or a small absolute
+pictures; the CAN bus of four nuScenes scenes) or, for motion, taken from all 850 drives of nuScenes. **Bold** figures lie outside their band. Motion: within {relative:.0f} % of the real figure or a small absolute
 difference (0.5 m/s, 0.5 deg/s, 0.15 m/s², 10 m, 10 deg, 0.05 of a share). Everything else: within the range of the
 real values, widened on both sides by {widened:.0f} % of its width.
 """
@@ -86,8 +85,10 @@ of 633 px."""
 MOTION = """### Motion
 
 {frames:,} written poses of {scenes} scenes. As on the real side twelve frames count as one second, and windows that
-start at any frame are pooled. Quantiles of single scenes rest on few values: the outermost ones are nearly
-extremes."""
+start at any frame are pooled. Each scene is dealt a path and a heading change from the real quantiles (stratified: of
+n moving scenes every n-th part of the distribution gets one) and is cut where a longer drive does just that; speeds,
+turning rates and accelerations within the scene come from the driver. Quantiles of single scenes rest on few values:
+the outermost ones are nearly extremes. Distances are taken at the known quantiles of the real distribution."""
 
 INTERVALS = """### Frame intervals
 
@@ -105,8 +106,9 @@ DIFFERENCES = """Beyond figures:
 
 * Traffic lights stand at the corners but rule nobody. Vehicles are of four kinds and leave their lane only to pass one
   that stands in it. People keep straight on and away from vehicles; nobody runs, pushes a pram or carries an umbrella.
-* Streets form a grid of straight, level roads with right-hand traffic: no bends, hills, long tunnels or
-  motorways, and one style of architecture. Gentle turns come from passing vehicles and from wandering in the lane.
+* Streets form a bent grid on hills of at most 6 % grade, with right-hand traffic: no roundabouts, long tunnels or
+  motorways, and one style of architecture. Written poses are flat, as those of nuScenes; pictures, wheels and the
+  accelerometer know the slope. Houses stand level with their foundations in the slope.
 * The lens is a pinhole without distortion (nuScenes images are undistorted as well), the shutter is global.
 * In rain the road mirrors what the picture shows, vehicles throw up spray and drops stick to the glass; falling drops
   and the wiper's blade are not seen.

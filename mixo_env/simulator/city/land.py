@@ -177,7 +177,8 @@ def land_of(seed: int) -> Land:
     rng = np.random.default_rng([seed, 7])
     slopes = np.array([rng.uniform(*_LONG_SLOPE), rng.uniform(0.0, _ACROSS)])
     bends = [
-        Profile(_waves(rng, [slope], _LONG_BEND_M), _steps(rng)) for slope in (slopes if rng.uniform() < 0.5 else slopes[::-1])
+        Profile(_waves(rng, [slope], _LONG_BEND_M), _steps(rng))
+        for slope in (slopes if rng.uniform() < 0.5 else slopes[::-1])
     ]
     steep, split = STEEPEST * rng.uniform() ** 0.8, rng.uniform(0.0, 0.5 * np.pi)
     hills = [

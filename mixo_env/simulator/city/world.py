@@ -36,7 +36,6 @@ class World:
 
     Attributes:
         seed: the city's seed.
-        land: its shape.
         sun: ``(3,)`` unit vector towards the sun, map frame.
         static: patches of everything that never moves.
         vehicles: meshes of vehicles by kind and colour, x forward, origin at the centre on the ground.
@@ -50,10 +49,10 @@ class World:
         lamp_light: ``(1024, 1024)`` float32 light of the street lamps on the ground, per metre, 1 under a lamp.
         ground_texels_per_m: scale of the ground texture.
         underpasses: ``(n, 4)`` rows of ``Underpass``.
+        land: bends of the streets and hills.
     """
 
     seed: int
-    land: Land
     sun: NDArray[np.float64]
     static: PatchSet
     vehicles: dict[tuple[str, int], Mesh]
@@ -68,6 +67,7 @@ class World:
     lamp_light: NDArray[np.float32]
     ground_texels_per_m: float
     underpasses: NDArray[np.float64]
+    land: Land = FLAT
 
 
 def grain_levels(tile: NDArray[np.uint8]) -> tuple[NDArray[np.uint32], NDArray[np.int64]]:
@@ -170,7 +170,6 @@ def build_world(seed: int, plan: CityPlan = _USUAL) -> World:
     texels, table = atlas.packed()
     return World(
         seed=seed,
-        land=plan.land,
         sun=sun,
         static=packed(city.groups, sun),
         vehicles=vehicles,
@@ -185,6 +184,7 @@ def build_world(seed: int, plan: CityPlan = _USUAL) -> World:
         lamp_light=lamp_light(np.array(city.lamps)),
         ground_texels_per_m=ground_per_m,
         underpasses=np.array(list(bridges.values()), np.float64).reshape(-1, 4),
+        land=plan.land,
     )
 
 

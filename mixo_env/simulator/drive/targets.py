@@ -31,7 +31,7 @@ STANDING_M, STANDING_SHARE = 5.0, 0.0906
 
 # More levels: the published shares of scenes under and over some values.
 _PATH_SHARES = ((STANDING_SHARE, STANDING_M), (1.0 - 0.1929, 150.0), (1.0 - 0.0365, 200.0))
-_TURNED_SHARES = ((0.443, 5.0), (1.0 - 0.3459, 30.0), (1.0 - 0.2294, 60.0), (1.0 - 0.02, 120.0))
+_TURNED_SHARES = ((0.443, 5.0), (1.0 - 0.3459, 30.0), (1.0 - 0.2294, 60.0))
 
 STANDING = frozenset({"standing", "standing_cross_traffic"})
 TURNING = frozenset({"tight_turn", "lead_truck"})
@@ -134,7 +134,9 @@ def _paired(rng: np.random.Generator, paths: _Pool, turns: _Pool, count: int) ->
 
 def _most_turned_deg(path: float) -> float:
     """A fast car turns little, and so does one that hardly moves."""
-    return float(np.interp(path, (5.0, 12.0, 25.0, 40.0, 140.0, 150.0, 175.0, 200.0), (5.0, 20, 60, 104, 104, 95, 30, 14)))
+    return float(
+        np.interp(path, (5.0, 12.0, 25.0, 40.0, 140.0, 150.0, 175.0, 200.0), (5.0, 20, 60, 104, 104, 95, 30, 14))
+    )
 
 
 def _quantile(levels: FloatArray, values: Sequence[float], shares: Sequence[tuple[float, float]]) -> FloatArray:
