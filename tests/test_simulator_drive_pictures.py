@@ -13,14 +13,14 @@ import simplejpeg
 from mixo_env.nuscenes.selections import ALL_CAMERAS
 from mixo_env.nuscenes.tables import open_dataset
 from mixo_env.simulator import dataset
+from mixo_env.simulator.city.land import FLAT
 from mixo_env.simulator.city.vehicles import VEHICLE_KINDS, VehicleState
 from mixo_env.simulator.city.world import CityPlan, build_world
 from mixo_env.simulator.config import SimulationConfig, SituationShares
 from mixo_env.simulator.dataset import simulate
-from mixo_env.simulator.city.land import FLAT
 from mixo_env.simulator.drive.drive import plan_drive
 from mixo_env.simulator.drive.scenario import plan_logs
-from mixo_env.simulator.drive.scenes import camera_pose, pictures, scene_drive, simulate_scene
+from mixo_env.simulator.drive.scenes import camera_pose, pictures, simulate_scene
 from mixo_env.simulator.picture.render import CameraPose, Renderer
 
 CONFIG = SimulationConfig(scenes=1, seconds=2, width=320, height=180, cameras=("CAM_FRONT", "CAM_BACK"))

@@ -212,8 +212,9 @@ def test_every_kind_of_surface_is_there_and_nothing_floats(world):
     inner = (np.abs(corners[..., :2]) < EDGE_M).all(axis=(0, 2))
     assert np.abs(above[:, inner & (material == GROUND)]).max() < 0.2  # roads, and pavements a kerb higher
     assert np.abs(above[:, inner & (material == SHADE)]).max() < 0.1
-    for start, stop in itertools.pairwise(world.static.group_start):
-        if (material[start:stop] != SOLID).any() or not inner[start:stop].all():
+    inside = np.asarray(inner)
+    for start, stop in itertools.pairwise(world.static.group_start.tolist()):
+        if np.any(material[start:stop] != SOLID) or not np.all(inside[start:stop]):
             continue
         assert above[:, start:stop].min() < 0.25, "a thing whose lowest point is in the air"
 

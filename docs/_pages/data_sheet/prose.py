@@ -63,9 +63,10 @@ low texture the barest."""
 BESIDE = """## Beside real data
 
 Real figures are computed by the same code from real files (KITTI odometry 06; one nuScenes key frame of six
-pictures; the CAN bus of four nuScenes scenes) or, for motion, taken from all 850 drives of nuScenes. **Bold** figures lie outside their band. Motion: within {relative:.0f} % of the real figure or a small absolute
-difference (0.5 m/s, 0.5 deg/s, 0.15 m/s², 10 m, 10 deg, 0.05 of a share). Everything else: within the range of the
-real values, widened on both sides by {widened:.0f} % of its width.
+pictures; the CAN bus of four nuScenes scenes) or, for motion, taken from all 850 drives of nuScenes. **Bold** figures
+lie outside their band. Motion: within {relative:.0f} % of the real figure or a small absolute difference (0.5 m/s,
+0.5 deg/s, 0.15 m/s², 10 m, 10 deg, 0.05 of a share). Everything else: within the range of the real values, widened on
+both sides by {widened:.0f} % of its width.
 """
 
 PICTURES = """### Single pictures

@@ -1,7 +1,8 @@
 """The real side of the sheet: computed from a folder of real data when there is one, else what was stored of it.
 
 Only figures of our own are stored (``real.json``), never data. The folder holds ``nuscenes_motion_850.json`` (all
-drives), ``nuscenes_motion_statistics.json`` (135 of them, with their frames), ``nuscenes_can_bus/``, ``nuscenes_keyframe_6cam/`` and ``kitti_06/``.
+drives), ``nuscenes_motion_statistics.json`` (135 of them, with their frames), ``nuscenes_can_bus/``,
+``nuscenes_keyframe_6cam/`` and ``kitti_06/``.
 """
 
 from __future__ import annotations

@@ -104,7 +104,7 @@ def _slopes(t: FloatArray, waves: FloatArray, steps: FloatArray) -> FloatArray:
 def _on_grid(
     x: FloatArray, y: FloatArray, aside: tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 ) -> tuple[FloatArray, FloatArray]:
-    """u and v of points on the map; each round leaves a tenth of the error or less."""
+    """U and v of points on the map; each round leaves a tenth of the error or less."""
     waves_x, steps_x, waves_y, steps_y = aside
     us, vs = x.copy(), y.copy()
     for i in range(len(x)):
@@ -134,7 +134,7 @@ class Land:
         return u + self.aside_x.at(v), v + self.aside_y.at(u)
 
     def height(self, u: FloatArray, v: FloatArray) -> FloatArray:
-        """z of points of the grid."""
+        """Z of points of the grid."""
         return self.height_u.at(u) + self.height_v.at(v)
 
     def points(self, points: FloatArray) -> FloatArray:

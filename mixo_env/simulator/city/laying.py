@@ -1,7 +1,7 @@
 """Meshes of the straight, level street grid put on the land.
 
-Three ways: what is part of the ground follows it piece by piece (:func:`laid`), a house follows the street but stays level
-(:func:`levelled`), and what stands at one point is only moved and turned (:func:`standing`).
+Three ways: what is part of the ground follows it piece by piece (:func:`laid`), a house follows the street but stays
+level (:func:`levelled`), and what stands at one point is only moved and turned (:func:`standing`).
 """
 
 from __future__ import annotations

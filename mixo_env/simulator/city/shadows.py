@@ -106,7 +106,7 @@ class Shadows:
 def _heights(land: Land, side: int) -> NDArray[np.float32]:
     """Height of the ground over the map; it is smooth, so a coarse raster is enough."""
     coarse = 256
-    centres = (np.arange(coarse) + 0.5) * (EXTENT_M / coarse) - 0.5 * EXTENT_M
+    centres = (np.arange(coarse, dtype=np.float64) + 0.5) * (EXTENT_M / coarse) - 0.5 * EXTENT_M
     heights = land.height(*land.grid(*np.meshgrid(centres, centres))).astype(np.float32)
     return np.asarray(cv2.resize(heights, (side, side), interpolation=cv2.INTER_LINEAR), np.float32)
 

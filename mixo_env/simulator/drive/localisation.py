@@ -24,8 +24,9 @@ _CORRELATION_S = np.array([1.5, 1.5, 0.2, 2.5])
 _SMOOTHING_S = np.array([0.3, 0.3, 0.05, 0.3])  # the filter behind a localisation does not jump
 _MOVING_MPS = 2.0
 
-# Poses of a standing car still tremble: half of the standing seconds of all 850 real scenes turn by more than 0.0035 deg
-# and move by more than 0.25 mm. Standard deviation of what comes on top of the above at all times, and its correlation.
+# Poses of a standing car still tremble: half of the standing seconds of all 850 real scenes turn by more than
+# 0.0035 deg and move by more than 0.25 mm. Standard deviation of what comes on top of the above at all times, and how
+# long it is correlated.
 _TREMBLE_M, _TREMBLE_RAD = 0.0003, np.radians(0.0036)
 _TREMBLE_S = 0.6
 

@@ -1,7 +1,7 @@
 """Paths of the rear axle along the streets: straights, rounded turns, a driver who does not hold the lane exactly.
 
-A path is built on the street grid from its curvature, which is smooth everywhere, so that heading and position follow by
-integration and the car can really drive it; then it is laid on the land, whose bends are smooth as well.
+A path is built on the street grid from its curvature, which is smooth everywhere, so that heading and position follow
+by integration and the car can really drive it; then it is laid on the land, whose bends are smooth as well.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ class Route:
         return x, y, course
 
     def on_grid(self, s_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """u and v at arc lengths; straight on beyond both ends."""
+        """U and v at arc lengths; straight on beyond both ends."""
         beyond = s_m - np.clip(s_m, self.s_m[0], self.s_m[-1])
         end = np.where(beyond > 0, -1, 1)
         u, v = (
@@ -171,7 +171,7 @@ def _laid(
     x, y = land.map(*grid)
     z = land.height(*grid)
     along = np.concatenate([[0.0], np.cumsum(np.sqrt(np.diff(x) ** 2 + np.diff(y) ** 2 + np.diff(z) ** 2))])
-    even = STEP_M * np.arange(int(along[-1] / STEP_M) + 1)
+    even: FloatArray = STEP_M * np.arange(int(along[-1] / STEP_M) + 1, dtype=np.float64)
     at = np.interp(even, along, s)
     u, v, course = (_smoothly(at / STEP_M, values) for values in (*grid, course))
     x, y = land.map(u, v)

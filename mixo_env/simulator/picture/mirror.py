@@ -269,7 +269,8 @@ def _end_of_run(owner: Int32s, begin: int, across: int) -> int:
 def _carry(seen: Seen, view: View, height_m: float, images: Int64s) -> int:
     """Carry everything that stands and the sky to where the road mirrors it; the first line of cells with ground.
 
-    ``height_m`` is that of the camera over the ground below it. Lines go from the bottom of the picture to its top, so that the ground under a thing is seen before the thing.
+    ``height_m`` is that of the camera over the ground below it. Lines go from the bottom of the picture to its top, so
+    that the ground under a thing is seen before the thing.
     """
     height, width = seen.owner.shape
     down, across = (height + 1) // 2, (width + 1) // 2
