@@ -172,6 +172,7 @@ def test_laid_pieces_share_their_corners_and_keep_their_texture():
     land = land_of(STEEP)
     surface = Surface(0, (4.0, 3.0))
     whole = mesh_of([quad(surface, (10.0, 60.0, 0.15), (40.0, 0.0, 0.0), (0.0, -50.0, 0.0), start=(7.0, 8.0))])
+    whole["texel"] = (160.0, 20.0, 7.0, -30.0, 150.0, 8.0)  # turned against the edges
     pieces = laid(whole, land)
     assert len(pieces) == 6 * 7
     seen: dict[tuple[float, float], np.ndarray] = {}
@@ -179,7 +180,8 @@ def test_laid_pieces_share_their_corners_and_keep_their_texture():
         point = piece["origin"] + i * piece["edge_u"] + j * piece["edge_v"]
         a = piece["texel"]
         texel = a[0] * i + a[1] * j + a[2], a[3] * i + a[4] * j + a[5]
-        u, v = 10.0 + (texel[0] - 7.0) / 4.0, 60.0 - (texel[1] - 8.0) / 3.0
+        s, t = np.linalg.solve([[160.0, 20.0], [-30.0, 150.0]], np.subtract(texel, (7.0, 8.0)))
+        u, v = 10.0 + 40.0 * s, 60.0 - 50.0 * t
         assert point == pytest.approx(land.points(np.array([u, v, 0.15])), abs=1e-9)
         seen.setdefault((round(u, 6), round(v, 6)), point)
     assert len(seen) == 7 * 8
