@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from mixo_env.errors import ConfigurationError
+from mixo_env.simulator.city.land import FLAT, land_of
 from mixo_env.simulator.city.materials import KERB_M
 from mixo_env.simulator.city.people import LOOKS, PHASES, PersonState
 from mixo_env.simulator.city.people_models import leg_angles, people_models
@@ -13,9 +14,15 @@ from mixo_env.simulator.city.streets import BLOCK_M, HALF_ROAD_M, SIDEWALK_M
 from mixo_env.simulator.city.textures import Atlas
 from mixo_env.simulator.drive.drive import plan_drive
 from mixo_env.simulator.drive.people import Person, clash, stage_people
+from mixo_env.simulator.drive.targets import Motion, deal_motions
 from mixo_env.simulator.drive.traffic import Vehicle, car_itself, scene_clock, stage_traffic
 
 SECONDS = 12.0
+
+
+def motion_of(situation: str) -> Motion:
+    """What a scene of that situation does."""
+    return deal_motions(np.random.default_rng(0), [situation])[0]
 
 
 @pytest.fixture(scope="module")
@@ -23,9 +30,9 @@ def staged() -> list[tuple[list[Vehicle], tuple[Person, ...]]]:
     """Vehicles (the car first) and people of some scenes."""
     out = []
     for seed, situation in enumerate(("ordinary", "standing_cross_traffic", "tight_turn", "ordinary", "side_queue")):
-        drive = plan_drive(np.random.default_rng([seed, 0]), situation, SECONDS, 0.0)
-        vehicles = stage_traffic(np.random.default_rng([seed, 1]), drive, SECONDS)
-        people = stage_people(np.random.default_rng([seed, 2]), drive, SECONDS, vehicles, "day")
+        drive = plan_drive(np.random.default_rng([seed, 0]), situation, SECONDS, 0.0, motion_of(situation), FLAT)
+        vehicles = stage_traffic(np.random.default_rng([seed, 1]), drive, SECONDS, FLAT)
+        people = stage_people(np.random.default_rng([seed, 2]), drive, FLAT, SECONDS, vehicles, "day")
         out.append(([car_itself(drive, scene_clock(SECONDS)), *vehicles], people))
     return out
 
@@ -98,10 +105,10 @@ def test_people_keep_to_pavements_and_step_down_to_cross(staged: list) -> None:
 
 
 def test_speeds_are_those_of_people() -> None:
-    drive = plan_drive(np.random.default_rng([1, 0]), "ordinary", 4.0, 0.0)
+    drive = plan_drive(np.random.default_rng([1, 0]), "ordinary", 4.0, 0.0, motion_of("ordinary"), FLAT)
     walking, cycling, standing, walkers = [], [], 0, 0
     for seed in range(60):
-        for person in stage_people(np.random.default_rng(seed), drive, 4.0, (), "day"):
+        for person in stage_people(np.random.default_rng(seed), drive, FLAT, 4.0, (), "day"):
             speed = np.hypot(np.diff(person.x_m), np.diff(person.y_m)) / np.diff(person.time_s)
             if person.kind == "cyclist":
                 cycling.append(speed.max())
@@ -128,8 +135,8 @@ def test_nobody_is_run_over(staged: list) -> None:
 
 def test_stride_and_way_go_together() -> None:
     """A foot on the ground stays there: the cycle advances with the way, not with the clock."""
-    drive = plan_drive(np.random.default_rng([7, 0]), "ordinary", SECONDS, 0.0)
-    for person in stage_people(np.random.default_rng(3), drive, SECONDS, (), "day"):
+    drive = plan_drive(np.random.default_rng([7, 0]), "ordinary", SECONDS, 0.0, motion_of("ordinary"), FLAT)
+    for person in stage_people(np.random.default_rng(3), drive, FLAT, SECONDS, (), "day"):
         way = np.abs(person.x_m - person.x_m[0]) + np.abs(person.y_m - person.y_m[0])
         turned = person.stride - person.stride[0]
         if way[-1] > 0.0:
@@ -139,11 +146,30 @@ def test_stride_and_way_go_together() -> None:
 
 
 def test_equal_seeds_give_equal_people_and_rain_sends_them_home() -> None:
-    drive = plan_drive(np.random.default_rng([1, 0]), "ordinary", SECONDS, 0.0)
-    first, again = (stage_people(np.random.default_rng(5), drive, SECONDS, (), "day") for _ in range(2))
+    drive = plan_drive(np.random.default_rng([1, 0]), "ordinary", SECONDS, 0.0, motion_of("ordinary"), FLAT)
+    first, again = (stage_people(np.random.default_rng(5), drive, FLAT, SECONDS, (), "day") for _ in range(2))
     assert [person.state(3.0) for person in first] == [person.state(3.0) for person in again]
     count = {
-        weather: sum(len(stage_people(np.random.default_rng(seed), drive, SECONDS, (), weather)) for seed in range(12))
+        weather: sum(
+            len(stage_people(np.random.default_rng(seed), drive, FLAT, SECONDS, (), weather)) for seed in range(12)
+        )
         for weather in ("day", "rain", "night")
     }
     assert count["day"] > 1.5 * count["rain"] > 1.5 * count["night"] > 0
+
+
+def test_people_follow_bent_streets() -> None:
+    land = land_of(9)
+    drive = plan_drive(np.random.default_rng([2, 0]), "ordinary", SECONDS, 0.0, motion_of("ordinary"), land)
+    walked = 0
+    for person in stage_people(np.random.default_rng(4), drive, land, SECONDS, (), "day"):
+        grid = np.stack(land.grid(person.x_m, person.y_m))
+        across = np.ptp(grid, axis=1).argmin()  # they go along the other one
+        assert np.ptp(grid[across]) < 1e-4
+        moved = np.hypot(np.diff(person.x_m), np.diff(person.y_m)) > 1e-3
+        if moved.any():
+            heading = np.arctan2(np.diff(person.y_m), np.diff(person.x_m))
+            middle = 0.5 * (person.yaw_rad[1:] + person.yaw_rad[:-1])
+            assert np.abs(np.exp(1j * heading[moved]) - np.exp(1j * middle[moved])).max() < 1e-3
+            walked += 1
+    assert walked > 5

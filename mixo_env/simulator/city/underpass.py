@@ -31,7 +31,10 @@ _OVERLAY_M = 0.015  # above the ground, and above the sun shadows of vehicles, o
 
 
 class Underpass(NamedTuple):
-    """One bridge: over the street along ``axis`` (0 = x, 1 = y) at (x, y), which is ``length_m`` long inside; on the street grid."""
+    """One bridge over the street along ``axis`` (0 = x, 1 = y), ``length_m`` long inside.
+
+    Its middle lies at (x, y) of the street grid.
+    """
 
     axis: int
     x_m: float
