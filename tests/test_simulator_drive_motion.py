@@ -40,8 +40,9 @@ def test_limits_of_car_and_comfort(situation):
         assert np.abs(drive.yaw_rate_radps).max() < np.radians(45.0)
         assert np.abs(drive.yaw_rate_radps * drive.speed_mps).max() < 3.0
         assert np.abs(np.diff(drive.yaw_rate_radps)).max() * DRIVE_RATE_HZ < 1.5
-        assert np.abs(drive.pitch_rad).max() < np.radians(2.0)
-        assert np.abs(drive.roll_rad).max() < np.radians(2.5)
+        slope = np.arctan(0.06)  # of the road, on top of what the springs do
+        assert np.abs(drive.pitch_rad).max() < np.radians(2.0) + slope
+        assert np.abs(drive.roll_rad).max() < np.radians(2.5) + slope
         assert np.abs(drive.heave_m).max() < 0.08
 
 

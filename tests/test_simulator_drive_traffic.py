@@ -98,7 +98,7 @@ def test_lead_truck_and_following_van_fill_their_views():
 
 def test_what_the_route_swerves_around_is_there():
     passed = standing = 0
-    for seed in range(12):
+    for seed in range(40):
         drive, vehicles = staged("ordinary", seed)
         first_m, last_m = drive.at("s_m", np.array([0.0, 20.0]))
         for passed_m in drive.route.passed_m:
