@@ -25,7 +25,7 @@ class SituationShares:
     ``standing_cross_traffic``); all others put a difficulty of the paper on the stage on purpose.
     """
 
-    standing: float = 0.06
+    standing: float = 0.05
     """The car hardly moves."""
     standing_cross_traffic: float = 0.04
     """The car waits at a crossing while vehicles pass in front of it."""
@@ -39,7 +39,7 @@ class SituationShares:
     """A dense platoon comes the other way."""
     blank_wall: float = 0.05
     """One windowless wall along a whole side of the way, swept by the front view in a turn."""
-    fast_straight: float = 0.05
+    fast_straight: float = 0.03
     """Straight on at 11 to 14 m/s."""
     tight_turn: float = 0.05
     """A turn at the smallest radius the streets allow."""
@@ -76,6 +76,8 @@ class SimulationConfig:
     """Share of logs driven in rain (by day)."""
     night: float = 0.08
     """Share of logs driven at night."""
+    low_sun: float = 0.2
+    """Share of the logs by day under a low sun, which stands along the streets."""
     low_texture: float = 0.1
     """Share of logs in a city with many blank walls and little fine texture."""
     situations: SituationShares = field(default_factory=SituationShares)
@@ -103,6 +105,7 @@ class SimulationConfig:
             raise ConfigurationError(f"cameras must be given once each, got {', '.join(self.cameras) or 'none'}")
         _check_shares("weather", {"rain": self.rain, "night": self.night})
         _check_shares("log", {"low_texture": self.low_texture})
+        _check_shares("light", {"low_sun": self.low_sun})
 
     @property
     def logs(self) -> int:

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 VERSION = "v1.0-mixo"
 """Name of the table folder."""
 
-FORMAT = 4
+FORMAT = 5
 """Raised whenever equal configurations no longer give equal files."""
 
 JPEG_QUALITY = 80
@@ -128,12 +128,14 @@ def _simulate_log(config: SimulationConfig, log: LogPlan, plans: Sequence[SceneP
 
 def _renderer(config: SimulationConfig, log: LogPlan) -> Renderer:
     """The log's city in its weather."""
+    from mixo_env.simulator.city.land import land_of
     from mixo_env.simulator.city.world import CityPlan, build_world
     from mixo_env.simulator.picture.render import Renderer
 
     walls: dict[str, Any] = {"grain": 0.4, "blank_walls": 0.5} if log.low_texture else {}
-    world = build_world(log.world_seed, CityPlan(blank_sides=blank_sides(config, log), **walls))
-    return Renderer(world, log.weather)
+    land, blank = land_of(log.world_seed), blank_sides(config, log)
+    world = build_world(log.world_seed, CityPlan(blank_sides=blank, low_sun=log.low_sun, land=land, **walls))
+    return Renderer(world, "low sun" if log.low_sun else log.weather)
 
 
 def _simulate_scene(

@@ -75,6 +75,7 @@ def log_entry(city: City, number: int) -> dict[str, Any]:
         "log": log.logfile,
         "vehicle": log.vehicle,
         "weather": log.weather,
+        "low_sun": log.low_sun,
         "low_texture": log.low_texture,
         "world_seed": log.world_seed,
         "wheel_radius_m": float(sensors.wheel_radius_m[2:].mean()),

@@ -155,10 +155,15 @@ def street_lamp(materials: Materials, rng: np.random.Generator) -> Mesh:
 
 
 def traffic_sign(materials: Materials, rng: np.random.Generator) -> Mesh:
-    """A plate on a pole at the origin, facing along the street."""
-    plate = Surface(_one(materials.signs, rng), (183.0, 183.0), detail=0.2, shape=TWO_SIDED)
+    """A plate on a pole at the origin; it faces (+x) whoever drives along the near side, in right-hand traffic.
+
+    The back is bare metal: lettering is never seen through the plate.
+    """
+    plate = Surface(_one(materials.signs, rng), (183.0, 183.0), detail=0.2)
     pole = box(materials.metal, None, (-0.04, 0.04), (-0.04, 0.04), (0.0, 2.9), rng)
-    return mesh_of([*pole, quad(plate, (0.05, 0.35, 2.9), (0.0, -0.7, 0.0), (0.0, 0.0, -0.7))])
+    front = quad(plate, (0.05, -0.35, 2.9), (0.0, 0.7, 0.0), (0.0, 0.0, -0.7))
+    back = quad(materials.metal, (0.05, 0.35, 2.9), (0.0, -0.7, 0.0), (0.0, 0.0, -0.7))
+    return mesh_of([*pole, front, back])
 
 
 def street_box(materials: Materials, rng: np.random.Generator) -> Mesh:

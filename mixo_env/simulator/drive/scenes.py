@@ -14,11 +14,13 @@ from mixo_env.geometry import rotation_from_roll_pitch_yaw, wrap_angle_rad
 from mixo_env.nuscenes.scene import CameraReel, ExactPoses, Scene
 from mixo_env.nuscenes.selections import conditions_of
 from mixo_env.nuscenes.writer import image_name
+from mixo_env.simulator.city.land import land_of
 from mixo_env.simulator.city.streets import BLOCK_M, SIDEWALK_M
 from mixo_env.simulator.config import SimulationConfig
 from mixo_env.simulator.drive.clock import SceneTimes, scene_times
 from mixo_env.simulator.drive.drive import DRIVE_RATE_HZ, Drive, plan_drive
 from mixo_env.simulator.drive.localisation import localise
+from mixo_env.simulator.drive.people import Person, stage_people
 from mixo_env.simulator.drive.scenario import LOCATION, LogPlan, ScenePlan, generator
 from mixo_env.simulator.drive.traffic import Vehicle, stage_traffic
 from mixo_env.simulator.drive.vehicle_bus import bus_messages
@@ -40,6 +42,7 @@ class SimulatedScene:
         times: when the sensors fire.
         drive: the true motion.
         vehicles: all others.
+        people: on foot and on bicycles.
         messages: of the CAN bus, by name.
     """
 
@@ -47,20 +50,23 @@ class SimulatedScene:
     times: SceneTimes
     drive: Drive
     vehicles: tuple[Vehicle, ...]
+    people: tuple[Person, ...]
     messages: dict[str, list[dict[str, Any]]]
 
 
 def scene_drive(config: SimulationConfig, log: LogPlan, plan: ScenePlan) -> Drive:
     """The drive of one scene."""
     rng = generator(config, "drive", plan.number)
-    return plan_drive(rng, plan.situation, config.seconds, log.course_offset_rad)
+    return plan_drive(rng, plan.situation, config.seconds, log.course_offset_rad, plan.motion, land_of(log.world_seed))
 
 
 def simulate_scene(config: SimulationConfig, log: LogPlan, plan: ScenePlan, root: Path) -> SimulatedScene:
     """Drive one scene and let every sensor but the cameras record it."""
     drive = scene_drive(config, log, plan)
     times = scene_times(generator(config, "clock", plan.number), plan.start_us, config.seconds)
-    vehicles = stage_traffic(generator(config, "traffic", plan.number), drive, config.seconds)
+    land = land_of(log.world_seed)
+    vehicles = stage_traffic(generator(config, "traffic", plan.number), drive, config.seconds, land)
+    people = stage_people(generator(config, "people", plan.number), drive, land, config.seconds, vehicles, log.weather)
     localisation = localise(generator(config, "localisation", plan.number), drive, log.localisation_lag_s)
     first_us, last_us = int(times.sample_us[0]), int(times.sample_us[-1])
     bus_rng = generator(config, "bus", plan.number)
@@ -76,7 +82,9 @@ def simulate_scene(config: SimulationConfig, log: LogPlan, plan: ScenePlan, root
         reels[channel] = CameraReel(
             calibration, frames.timestamp_us, paths, frames.is_keyframe, x, y, wrap_angle_rad(yaw)
         )
-    description = ", ".join([_LIGHT[log.weather], *_manoeuvre(drive, config.seconds)])
+    description = ", ".join(
+        [_LIGHT[log.weather], *(["low sun"] if log.low_sun else []), *_manoeuvre(drive, config.seconds)]
+    )
     scene = Scene(
         name=plan.name,
         description=description,
@@ -88,19 +96,27 @@ def simulate_scene(config: SimulationConfig, log: LogPlan, plan: ScenePlan, root
         can_bus=None,
         exact=_exact(drive, plan, config.seconds),
     )
-    return SimulatedScene(scene, times, drive, vehicles, messages)
+    return SimulatedScene(scene, times, drive, vehicles, people, messages)
 
 
 def pictures(
     config: SimulationConfig, log: LogPlan, plan: ScenePlan, simulated: SimulatedScene, renderer: Renderer
 ) -> Iterator[tuple[Path, NDArray[np.uint8]]]:
     """Every picture of the scene with its path, camera by camera in time order (the exposure control has a memory)."""
+    from mixo_env.simulator.picture.drops import drops_on, glass_of
+    from mixo_env.simulator.picture.drops_seen import drops_veil
+
     shutter_s = renderer.weather.shutter_s
     for channel in config.cameras:
         calibration = log.rig.true[channel]
         reel = simulated.scene.cameras[channel]
-        gain = None
-        for number, exposure_us in enumerate(simulated.times.cameras[channel].exposure_us):
+        gain, drops = None, None
+        if log.weather == "rain":
+            name = (config.seed, *b"drops", plan.number, *channel.encode())
+            drops = drops_on(glass_of(channel), name, config.seconds, calibration.intrinsic[0, 0] / config.width)
+        exposures_us = simulated.times.cameras[channel].exposure_us
+        until_next_s = np.diff(exposures_us, append=exposures_us[-1]) / 1e6
+        for number, exposure_us in enumerate(exposures_us):
             open_s = (int(exposure_us) - plan.start_us) / 1e6
             noise = generator(config, "noise", plan.number, *channel.encode(), number)
             picture = renderer.render(
@@ -113,8 +129,11 @@ def pictures(
                     open_s + shutter_s,
                 ),
                 [vehicle.state(open_s + 0.5 * shutter_s) for vehicle in simulated.vehicles],
+                people=[person.state(open_s + 0.5 * shutter_s) for person in simulated.people],
                 gain=gain,
                 noise_seed=int(noise.integers(2**31)),
+                veil=drops_veil(drops, open_s, config.height, config.width) if drops else None,
+                next_s=float(until_next_s[number]),
             )
             gain = picture.gain
             yield reel.image_paths[number], picture.image
@@ -126,11 +145,11 @@ def camera_pose(
     """Where a camera of the pitching, rolling and heaving body really is."""
     from mixo_env.simulator.picture.render import CameraPose
 
-    x, y, yaw, heave, roll, pitch = (
-        float(drive.at(name, time_s)) for name in ("x_m", "y_m", "yaw_rad", "heave_m", "roll_rad", "pitch_rad")
+    x, y, z, yaw, heave, roll, pitch = (
+        float(drive.at(name, time_s)) for name in ("x_m", "y_m", "z_m", "yaw_rad", "heave_m", "roll_rad", "pitch_rad")
     )
     body = rotation_from_roll_pitch_yaw(roll, pitch, yaw)
-    return CameraPose(body @ rotation_ego_from_camera, np.array([x, y, heave]) + body @ translation_m)
+    return CameraPose(body @ rotation_ego_from_camera, np.array([x, y, z + heave]) + body @ translation_m)
 
 
 def blank_sides(config: SimulationConfig, log: LogPlan) -> tuple[BlockSide, ...]:
@@ -146,17 +165,17 @@ def blank_sides(config: SimulationConfig, log: LogPlan) -> tuple[BlockSide, ...]
         # The wall stands on the outer side of a turn, so that the front view sweeps along it.
         outer = -np.sign(turned) if abs(turned) > 0.5 else generator(config, "wall", plan.number).choice([-1, 1])
         inside = (x - outer * 15.0 * np.sin(course), y + outer * 15.0 * np.cos(course))
-        for px, py in zip(*inside, strict=True):
-            side = _nearest_side(px, py)
+        for u, v in zip(*land_of(log.world_seed).grid(*inside), strict=True):
+            side = _nearest_side(u, v)
             if side:
                 sides[side] = None
     return tuple(sides)
 
 
-def _nearest_side(x: float, y: float) -> BlockSide | None:
-    """The house front next to a point behind it, ``None`` on a street."""
-    column, row = int(np.floor(x / BLOCK_M)), int(np.floor(y / BLOCK_M))
-    u, v = x - column * BLOCK_M, y - row * BLOCK_M
+def _nearest_side(u: float, v: float) -> BlockSide | None:
+    """The house front next to a point of the grid behind it, ``None`` on a street."""
+    column, row = int(np.floor(u / BLOCK_M)), int(np.floor(v / BLOCK_M))
+    u, v = u - column * BLOCK_M, v - row * BLOCK_M
     if min(u, v, BLOCK_M - u, BLOCK_M - v) < SIDEWALK_M:
         return None
     distances = {"west": u, "east": BLOCK_M - u, "south": v, "north": BLOCK_M - v}
