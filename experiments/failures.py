@@ -9,7 +9,6 @@ alone. Images and recordings stay in a cache outside the repository; an interrup
 
 from __future__ import annotations
 
-import json
 import logging
 import sys
 from collections.abc import Callable
@@ -23,6 +22,7 @@ from mixo_env.experts.monocular.config import MonocularConfig
 from mixo_env.files import writable_folder
 from mixo_env.leaderboard.conditions import SITUATIONS
 from mixo_env.nuscenes.tables import open_dataset
+from mixo_env.recordings.camera_faults import told_faults
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.folds import OUT_OF_DISTRIBUTION
 from mixo_env.recordings.record import RecordConfig, record
@@ -49,9 +49,6 @@ STAGED_KINDS = {
 
 KINDS = (*STAGED_KINDS, *FAULTS[1:])
 """Columns of the table; the faults are those of the drives of ``ordinary``."""
-
-CAMERA_FAULTS = "camera_faults"
-"""Key of the manifest's parameters: scene -> its fault."""
 
 
 @dataclass(frozen=True)
@@ -132,17 +129,16 @@ class Failures:
         """
         home, images = self.folder(kind) / "recordings", self.folder(kind) / "images"
         config = RecordConfig(
-            monocular=MonocularConfig.preset("fast"), data_version=f"mixocity-failures-{kind}-{SEEDS[self.drives]}"
+            monocular=MonocularConfig.preset("fast"),
+            data_version=f"mixocity-failures-{kind}-{SEEDS[self.drives]}",
+            camera_faults=told_faults(images),
         )
         parts = self.folder(kind) / "unfinished"
         recordings = record(open_dataset(images), config, parts, self.workers, _told("record", kind))
         if skipped := recordings.manifest.parameters["skipped"]:
             raise DatasetError(f"{kind} is not whole: {len(skipped)} scenes could not be recorded, see above")
-        noted: dict[str, Any] = json.loads((images / "simulation.json").read_text()).get("faults", {})
         scenes = tuple(replace(scene, fold=OUT_OF_DISTRIBUTION) for scene in recordings.scenes)
         told: dict[str, Any] = {SITUATIONS: {scene.name: kind for scene in scenes}}
-        if noted:
-            told[CAMERA_FAULTS] = noted
         manifest = replace(recordings.manifest, scenes=scenes, parameters=recordings.manifest.parameters | told)
         recordings = recordings.replace(manifest)
         save_recordings(recordings, home)

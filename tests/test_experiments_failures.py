@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from experiments import failures
-from experiments.failures import CAMERA_FAULTS, KINDS, SEEDS, STAGED_KINDS, Failures
+from experiments.failures import KINDS, SEEDS, STAGED_KINDS, Failures
 from experiments.failures_table import REFERENCES, check_experts, score, write_tables
 from experiments.mixocity import CONFIG
-from mixo_env.errors import ConfigurationError, PolicyError
+from mixo_env.errors import ConfigurationError, DatasetError, PolicyError
 from mixo_env.policies.single import Single
+from mixo_env.recordings.camera_faults import CAMERA_FAULTS, told_faults
 from mixo_env.recordings.store import load_recordings
 from mixo_env.simulator.drive.scenario import plan_logs
 
@@ -111,3 +112,11 @@ def test_an_unknown_kind_is_one_line(tmp_path: Path, caplog: pytest.LogCaptureFi
         Failures(kinds=("blak",))
     assert failures.main(["--kinds", "blak", "--cache", str(tmp_path)]) == 1
     assert caplog.messages[-1].startswith("unknown kind of failure 'blak'")
+
+
+def test_a_damaged_note_of_faults_is_one_line_and_a_real_folder_has_none(tmp_path: Path) -> None:
+    assert told_faults(tmp_path) == {}
+    for damaged in ('{"faults": {"scene', '{"faults": [1]}', "[]"):
+        (tmp_path / "simulation.json").write_text(damaged)
+        with pytest.raises(DatasetError, match=r"simulation\.json"):
+            told_faults(tmp_path)
