@@ -42,6 +42,7 @@ STAGED_KINDS = {
     "side_queue_rain": ("side_queue", 1.0),
     **{name: (name, 0.0) for name in ("lead_truck", "following_van", "blank_wall", "oncoming_platoon")},
     "tight_turn": ("tight_turn", 0.0),
+    "majority_wrong": ("majority_wrong", 0.0),
     "low_texture": ("low_texture", 0.0),
     "ordinary": ("ordinary", 0.0),
 }

@@ -14,7 +14,9 @@ from mixo_env.errors import ConfigurationError
 from mixo_env.nuscenes.tables import open_dataset
 from mixo_env.simulator.config import FAULTS, STAGED, CameraFault, SimulationConfig, SituationShares, staging
 from mixo_env.simulator.dataset import simulate
-from mixo_env.simulator.drive.scenario import plan_logs
+from mixo_env.simulator.drive.scenario import generator, plan_logs
+from mixo_env.simulator.drive.scenes import scene_drive
+from mixo_env.simulator.drive.traffic import stage_traffic
 from mixo_env.simulator.picture.faults import KINDS, LOST_SWEEPS, PixelFault, dropped, knock, spoil
 
 TINY = SimulationConfig(scenes=1, scenes_per_log=1, seconds=2, width=160, height=90, cameras=("CAM_FRONT", "CAM_BACK"))
@@ -138,6 +140,24 @@ def test_a_situation_is_staged_in_every_scene_of_a_log_of_its_own(name: str) -> 
     assert {log.low_texture for log in logs} == {name == "low_texture"}
     staged = "ordinary" if name == "low_texture" else name
     assert {scene.situation for log in logs for scene in log.scenes} == {staged}
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_most_cameras_are_captured_together(seed: int) -> None:
+    config = staging(SimulationConfig(scenes=1, seed=seed, rain=0.0, seconds=10), "majority_wrong")
+    log = plan_logs(config)[0]
+    drive = scene_drive(config, log, log.scenes[0])
+    vehicles = stage_traffic(generator(config, "traffic", 0), drive, config.seconds)
+    ahead, behind, left = 0, 0, 0
+    for time_s in np.arange(0.0, 10.0, 1.0):
+        x, y, yaw = (float(drive.at(name, time_s)) for name in ("x_m", "y_m", "yaw_rad"))
+        states = [vehicle.state(time_s) for vehicle in vehicles]
+        seen = np.array([(s.x_m - x + 1j * (s.y_m - y)) * np.exp(-1j * yaw) for s in states])
+        ahead += bool(((seen.real > 0) & (seen.real < 25) & (abs(seen.imag) < 3)).any())
+        behind += bool(((seen.real < 0) & (seen.real > -15) & (abs(seen.imag) < 3)).any())
+        left += bool(((abs(seen.real) < 12) & (seen.imag > 2) & (seen.imag < 9)).any())
+    assert min(ahead, behind) >= 8
+    assert left >= 5
 
 
 def test_unknown_names_are_one_line_with_the_nearest() -> None:

@@ -43,6 +43,9 @@ class SituationShares:
     """Straight on at 11 to 14 m/s."""
     tight_turn: float = 0.05
     """A turn at the smallest radius the streets allow."""
+    majority_wrong: float = 0.0
+    """Truck ahead, van behind and a creeping queue on the left at once: three of the paper's four cameras see more of
+    them than of the street."""
 
     def __post_init__(self) -> None:
         _check_shares("situation", self.by_name())

@@ -25,7 +25,7 @@ SHORT_SCENE_M = 5.0
 
 STANDING = frozenset({"standing", "standing_cross_traffic"})
 TURNING = frozenset({"tight_turn", "lead_truck"})
-CROWDED = frozenset({"side_queue", "oncoming_platoon"})
+CROWDED = frozenset({"side_queue", "oncoming_platoon", "majority_wrong"})
 """The other lane has no room to swerve into."""
 
 _PASSING = 0.35  # probability of a vehicle in the way, per block
