@@ -152,10 +152,11 @@ def test_most_cameras_are_captured_together(seed: int) -> None:
     for time_s in np.arange(0.0, 10.0, 1.0):
         x, y, yaw = (float(drive.at(name, time_s)) for name in ("x_m", "y_m", "yaw_rad"))
         states = [vehicle.state(time_s) for vehicle in vehicles]
-        seen = np.array([(s.x_m - x + 1j * (s.y_m - y)) * np.exp(-1j * yaw) for s in states])
-        ahead += bool(((seen.real > 0) & (seen.real < 25) & (abs(seen.imag) < 3)).any())
-        behind += bool(((seen.real < 0) & (seen.real > -15) & (abs(seen.imag) < 3)).any())
-        left += bool(((abs(seen.real) < 12) & (seen.imag > 2) & (seen.imag < 9)).any())
+        dx, dy = (np.array([s.x_m - x for s in states]), np.array([s.y_m - y for s in states]))
+        along, across = dx * np.cos(yaw) + dy * np.sin(yaw), dy * np.cos(yaw) - dx * np.sin(yaw)
+        ahead += bool(((along > 0) & (along < 25) & (abs(across) < 3)).any())
+        behind += bool(((along < 0) & (along > -15) & (abs(across) < 3)).any())
+        left += bool(((abs(along) < 12) & (across > 2) & (across < 9)).any())
     assert min(ahead, behind) >= 8
     assert left >= 5
 
