@@ -4,13 +4,16 @@ BIN := .venv/bin
 WORKERS ?= 2
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: benchmark mixocity test integration integrations site faults browser coverage lint types unit format clean
+.PHONY: benchmark mixocity mixocity-failures test integration integrations site faults browser coverage lint types unit format clean
 
 benchmark: .venv/installed  ## the leaderboard on the bundled recordings
 	$(BIN)/mixo benchmark
 
 mixocity: .venv/installed  ## the bundled recordings anew, from nothing: hours; resumable
 	$(BIN)/python -m experiments.mixocity --workers $(WORKERS)
+
+mixocity-failures: .venv/installed  ## the failure suite and its table, from nothing: hours; resumable
+	$(BIN)/python -m experiments.failures --workers $(WORKERS)
 
 test: lint types unit  ## what every change must pass
 

@@ -23,7 +23,7 @@ from mixo_env.nuscenes.scene import ExactPoses
 from mixo_env.nuscenes.writer import scene_tables, write_can_bus, write_json, write_tables
 from mixo_env.simulator.config import SimulationConfig
 from mixo_env.simulator.drive.scenario import LogPlan, ScenePlan, plan_logs
-from mixo_env.simulator.drive.scenes import blank_sides, pictures, simulate_scene
+from mixo_env.simulator.drive.scenes import blank_sides, camera_fault, pictures, simulate_scene
 
 if TYPE_CHECKING:
     from mixo_env.simulator.picture.render import Renderer
@@ -91,6 +91,13 @@ def _claim(config: SimulationConfig, out: Path) -> None:
     """Make the folder ours, or make sure that it is."""
     note = out / "simulation.json"
     mine = {"format": FORMAT, **json.loads(json.dumps(dataclasses.asdict(config)))}
+    if not config.situations.majority_wrong:
+        del mine["situations"]["majority_wrong"]  # staged only when asked for; folders from before it stay theirs
+    if config.fault.kind == "none":
+        del mine["fault"]  # a sound data set says nothing of faults
+    else:
+        plans = [plan for log in plan_logs(config) for plan in log.scenes]
+        mine["faults"] = {plan.name: fault.note() for plan in plans if (fault := camera_fault(config, plan))}
     if not note.exists():
         if out.exists() and (not out.is_dir() or any(out.iterdir())):
             raise ConfigurationError(f"{out} is not an empty folder: choose a new one")

@@ -26,7 +26,7 @@ MARGIN_S = 8.0
 LAST_IMAGE_S = 0.5
 """A scene's last image comes so long before its end."""
 
-CROWDED = frozenset({"side_queue", "oncoming_platoon"})
+CROWDED = frozenset({"side_queue", "oncoming_platoon", "majority_wrong"})
 """The other lane has no room to swerve into."""
 
 _BEND_PM = 0.02  # curvature below which a curve is a bend

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,13 +17,14 @@ from mixo_env.nuscenes.writer import image_name
 from mixo_env.simulator.city.land import land_of
 from mixo_env.simulator.city.streets import BLOCK_M, SIDEWALK_M
 from mixo_env.simulator.config import SimulationConfig
-from mixo_env.simulator.drive.clock import SceneTimes, scene_times
+from mixo_env.simulator.drive.clock import CameraTimes, SceneTimes, scene_times
 from mixo_env.simulator.drive.drive import DRIVE_RATE_HZ, Drive, plan_drive
 from mixo_env.simulator.drive.localisation import localise
 from mixo_env.simulator.drive.people import Person, stage_people
 from mixo_env.simulator.drive.scenario import LOCATION, LogPlan, ScenePlan, generator
 from mixo_env.simulator.drive.traffic import Vehicle, stage_traffic
 from mixo_env.simulator.drive.vehicle_bus import bus_messages
+from mixo_env.simulator.picture.faults import PASSING, PixelFault, dropped, knock, spoil
 
 if TYPE_CHECKING:
     from mixo_env.simulator.city.world import BlockSide
@@ -60,6 +61,18 @@ def scene_drive(config: SimulationConfig, log: LogPlan, plan: ScenePlan) -> Driv
     return plan_drive(rng, plan.situation, config.seconds, log.course_offset_rad, plan.motion, land_of(log.world_seed))
 
 
+def camera_fault(config: SimulationConfig, plan: ScenePlan) -> PixelFault | None:
+    """The fault of one scene, ``None`` without; every kind meets the same camera, so that kinds can be compared."""
+    if config.fault.kind == "none":
+        return None
+    rng = generator(config, "fault", plan.number)
+    drawn = config.cameras[int(rng.integers(len(config.cameras)))]
+    camera = config.fault.camera or drawn
+    seed = int(generator(config, "fault", plan.number, *camera.encode()).integers(2**31))
+    first, last = (0.25, 0.75) if config.fault.kind in PASSING else (0.0, 2.0)  # images go on a little after the end
+    return PixelFault(config.fault.kind, camera, first * config.seconds, last * config.seconds, seed)
+
+
 def simulate_scene(config: SimulationConfig, log: LogPlan, plan: ScenePlan, root: Path) -> SimulatedScene:
     """Drive one scene and let every sensor but the cameras record it."""
     drive = scene_drive(config, log, plan)
@@ -73,8 +86,11 @@ def simulate_scene(config: SimulationConfig, log: LogPlan, plan: ScenePlan, root
     messages = bus_messages(bus_rng, drive, localisation, log.sensors, first_us, last_us)
 
     reels = {}
+    fault = camera_fault(config, plan)
     for channel in config.cameras:
         frames = times.cameras[channel]
+        if fault is not None and fault.camera == channel:
+            frames = _without_dropped(frames, fault, plan.start_us)
         x, y, yaw = localisation.pose((frames.timestamp_us - plan.start_us) / 1e6)
         names = zip(frames.timestamp_us.tolist(), frames.is_keyframe.tolist(), strict=True)
         paths = tuple(root / image_name(log.logfile, channel, time, key) for time, key in names)
@@ -107,13 +123,20 @@ def pictures(
     from mixo_env.simulator.picture.drops_seen import drops_veil
 
     shutter_s = renderer.weather.shutter_s
+    scene_fault = camera_fault(config, plan)
     for channel in config.cameras:
         calibration = log.rig.true[channel]
+        fault = scene_fault if scene_fault is not None and scene_fault.camera == channel else None
+        if fault is not None and fault.kind == "knocked":
+            calibration = replace(
+                calibration, rotation_ego_from_camera=knock(fault) @ calibration.rotation_ego_from_camera
+            )
         reel = simulated.scene.cameras[channel]
-        gain, drops = None, None
+        gain = last = drops = None
         if log.weather == "rain":
             name = (config.seed, *b"drops", plan.number, *channel.encode())
             drops = drops_on(glass_of(channel), name, config.seconds, calibration.intrinsic[0, 0] / config.width)
+        path_at = dict(zip(reel.timestamp_us.tolist(), reel.image_paths, strict=True))
         exposures_us = simulated.times.cameras[channel].exposure_us
         until_next_s = np.diff(exposures_us, append=exposures_us[-1]) / 1e6
         for number, exposure_us in enumerate(exposures_us):
@@ -136,7 +159,18 @@ def pictures(
                 next_s=float(until_next_s[number]),
             )
             gain = picture.gain
-            yield reel.image_paths[number], picture.image
+            path = path_at.get(int(simulated.times.cameras[channel].timestamp_us[number]))
+            if path is None:  # dropped; but the exposure control has seen it
+                continue
+            last = picture.image if fault is None else spoil(picture.image, last, fault, open_s)
+            yield path, last
+
+
+def _without_dropped(frames: CameraTimes, fault: PixelFault, start_us: int) -> CameraTimes:
+    """The frames that a dropping camera hands over; its numbers count those it took."""
+    table = zip(frames.exposure_us.tolist(), frames.is_keyframe.tolist(), strict=True)
+    kept = [not dropped(fault, n, (time - start_us) / 1e6, key) for n, (time, key) in enumerate(table)]
+    return CameraTimes(frames.timestamp_us[kept], frames.exposure_us[kept], frames.is_keyframe[kept])
 
 
 def camera_pose(

@@ -122,11 +122,11 @@ def car_itself(drive: Drive, time_s: FloatArray) -> Vehicle:
 def _candidates(rng: np.random.Generator, drive: Drive, time_s: FloatArray, land: Land) -> Iterator[Vehicle]:
     """Vehicles in the order of their importance; the first ones are the staged ones."""
     situation = drive.situation
-    if situation == "lead_truck":
+    if situation in {"lead_truck", "majority_wrong"}:
         yield _in_own_lane(rng, drive, time_s, "truck", rng.uniform(0.7, 1.2), gap_m=rng.uniform(3.2, 4.2))
     elif rng.uniform() < 0.35 and situation != "standing_cross_traffic":  # who leads would stand in the crossing
         yield _in_own_lane(rng, drive, time_s, _kind(rng), rng.uniform(1.4, 3.0), gap_m=rng.uniform(2.5, 6.0))
-    if situation == "following_van":
+    if situation in {"following_van", "majority_wrong"}:
         yield _in_own_lane(rng, drive, time_s, "van", -rng.uniform(0.4, 0.8), gap_m=rng.uniform(2.4, 3.0))
     elif rng.uniform() < 0.35:
         yield _in_own_lane(rng, drive, time_s, _kind(rng), -rng.uniform(1.2, 2.5), gap_m=rng.uniform(2.5, 6.0))
@@ -135,7 +135,7 @@ def _candidates(rng: np.random.Generator, drive: Drive, time_s: FloatArray, land
         yield _in_the_way(rng, drive, time_s, passed_m)
     own, crossing = lanes_of(drive, time_s)
     for lane in own:
-        if situation == "side_queue":
+        if situation in {"side_queue", "majority_wrong"}:
             speed_mps, pause_m = rng.uniform(0.0, 1.0), (1.5, 3.5)
         elif situation == "oncoming_platoon":
             speed_mps, pause_m = rng.uniform(5.0, 9.0), (7.0, 14.0)
