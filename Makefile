@@ -9,7 +9,7 @@ export OMP_NUM_THREADS ?= 1
 benchmark: .venv/installed  ## the leaderboard on the bundled recordings
 	$(BIN)/mixo benchmark
 
-mixocity: .venv/installed  ## the bundled recordings anew, from nothing: hours; resumable
+mixocity: .venv/integrations  ## the bundled recordings anew, from nothing: hours; resumable
 	$(BIN)/python -m experiments.mixocity --workers $(WORKERS)
 
 mixocity-failures: .venv/installed  ## the failure suite and its table, from nothing: hours; resumable

@@ -91,8 +91,6 @@ def _claim(config: SimulationConfig, out: Path) -> None:
     """Make the folder ours, or make sure that it is."""
     note = out / "simulation.json"
     mine = {"format": FORMAT, **json.loads(json.dumps(dataclasses.asdict(config)))}
-    if not config.situations.majority_wrong:
-        del mine["situations"]["majority_wrong"]  # staged only when asked for; folders from before it stay theirs
     if config.fault.kind == "none":
         del mine["fault"]  # a sound data set says nothing of faults
     else:
