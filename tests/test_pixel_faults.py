@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from mixo_env.errors import ConfigurationError
 from mixo_env.nuscenes.tables import open_dataset
+from mixo_env.simulator.city.land import land_of
 from mixo_env.simulator.config import FAULTS, STAGED, CameraFault, SimulationConfig, SituationShares, staging
 from mixo_env.simulator.dataset import simulate
 from mixo_env.simulator.drive.scenario import generator, plan_logs
@@ -140,6 +141,7 @@ def test_a_situation_is_staged_in_every_scene_of_a_log_of_its_own(name: str) -> 
     assert {log.low_texture for log in logs} == {name == "low_texture"}
     staged = "ordinary" if name == "low_texture" else name
     assert {scene.situation for log in logs for scene in log.scenes} == {staged}
+    assert not any(log.low_sun for log in plan_logs(staging(SimulationConfig(scenes=5, rain=0.0, low_sun=1.0), name)))
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -147,7 +149,7 @@ def test_most_cameras_are_captured_together(seed: int) -> None:
     config = staging(SimulationConfig(scenes=1, seed=seed, rain=0.0, seconds=10), "majority_wrong")
     log = plan_logs(config)[0]
     drive = scene_drive(config, log, log.scenes[0])
-    vehicles = stage_traffic(generator(config, "traffic", 0), drive, config.seconds)
+    vehicles = stage_traffic(generator(config, "traffic", 0), drive, config.seconds, land_of(log.world_seed))
     ahead, behind, left = 0, 0, 0
     for time_s in np.arange(0.0, 10.0, 1.0):
         x, y, yaw = (float(drive.at(name, time_s)) for name in ("x_m", "y_m", "yaw_rad"))

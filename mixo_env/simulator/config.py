@@ -147,7 +147,7 @@ STAGED = (*(entry.name for entry in fields(SituationShares)), "low_texture", "or
 def staging(config: SimulationConfig, situation: str) -> SimulationConfig:
     """The same data set with one situation in every scene, and every scene of a log of its own.
 
-    It is day, or rain in the share asked for: what is staged is to be the only difficulty.
+    It is day under a high sun, or rain in the share asked for: what is staged is to be the only difficulty.
 
     Raises:
         ConfigurationError: for an unknown situation; the line names the nearest.
@@ -159,6 +159,7 @@ def staging(config: SimulationConfig, situation: str) -> SimulationConfig:
         config,
         scenes_per_log=1,
         night=0.0,
+        low_sun=0.0,
         low_texture=float(situation == "low_texture"),
         situations=SituationShares(**shares),
     )
