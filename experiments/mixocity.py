@@ -86,7 +86,7 @@ def planned_situations() -> dict[str, str]:
 
 @dataclass(frozen=True)
 class Build:
-    """Make the bundled recordings anew: HOURS hours on 2 cores.
+    """Make the bundled recordings anew: about three hours on 2 cores.
 
     Worked examples:
 
@@ -96,7 +96,7 @@ class Build:
     """
 
     cache: Path = Path.home() / ".cache" / "mixocity"
-    """Where images, vocabularies and unfinished recordings are kept (about 20 GB, GBS of them images)."""
+    """Where images, vocabularies and unfinished recordings are kept (about 22 GB, all but a few megabytes of it images)."""
     out: Path = Path(mixo_env.__file__).parent / "recordings" / "data"
     """Where finished recordings go: ``mixocity``, ``mixocity-rows`` (40 scenes with all rows) and ``mixocity-paper`` (8
     scenes at 1600 x 900, preset "paper")."""

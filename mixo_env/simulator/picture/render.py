@@ -172,11 +172,8 @@ class Renderer:
         shade(Shot(seen, view, self._light, self._textures, self._daylight, lamps, motion), memory.canvas)
         # Rain, and what lens and glass do.
         if weather.wetness > 0.0:
-            height_m = float(position[2] - self._ground_m(position))
-            mirror_road(radiance, seen, view, height_m, world.sky, weather.wetness, memory.images)
             wheels = slice(len(near))  # people come after the vehicles and throw nothing up
-            puffs = spray_puffs(states[wheels], self._fleet.size_m[models[wheels]], view, weather.wetness)
-            add_spray(radiance, seen.depth, puffs, view, world.sky, self._air)
+            self._add_rain(memory, view, states[wheels], models[wheels])
         if veil is not None:
             see_through(radiance, veil)
         if weather.sun > 0.0:
@@ -200,6 +197,14 @@ class Renderer:
         offset = _noise_offsets(noise_seed, height)
         expose(radiance, memory.canvas.flow, offset, gain / RADIANCE_UNIT, memory.sensor, image)
         return image
+
+    def _add_rain(self, memory: _Memory, view: View, states: Float64s, models: NDArray[np.int64]) -> None:
+        """What the wet road mirrors, and the spray behind vehicles, whose states and models these are."""
+        seen, radiance, clouds = memory.buffers.seen, memory.canvas.radiance, self.world.sky
+        height_m = float(view.position_m[2] - self._ground_m(view.position_m))
+        mirror_road(radiance, seen, view, height_m, clouds, self.weather.wetness, memory.images)
+        puffs = spray_puffs(states, self._fleet.size_m[models], view, self.weather.wetness)
+        add_spray(radiance, seen.depth, puffs, view, clouds, self._air)
 
     def _add_sun(self, radiance: Int64s, depth: Float32s, view: View, intrinsic: Float64s) -> None:
         """The sun where it stands in the picture or near its edge: the sky about it, and glare if no house hides it."""
