@@ -96,7 +96,7 @@ class Build:
     """
 
     cache: Path = Path.home() / ".cache" / "mixocity"
-    """Where images, vocabularies and unfinished recordings are kept (about 22 GB, all but a few megabytes of it images)."""
+    """Where images, vocabularies and unfinished recordings are kept (about 22 GB, nearly all images)."""
     out: Path = Path(mixo_env.__file__).parent / "recordings" / "data"
     """Where finished recordings go: ``mixocity``, ``mixocity-rows`` (40 scenes with all rows) and ``mixocity-paper`` (8
     scenes at 1600 x 900, preset "paper")."""

@@ -16,7 +16,8 @@ class Simulate:
     """Simulate drives through a procedural city and write them as a nuScenes folder.
 
     The official nuscenes-devkit and `mixo record` open the result. An interrupted run continues when the same command
-    is given again. A city takes about 15 s, an image of 800x450 0.03 s: 12 scenes with four cameras some 7 minutes on one core.
+    is given again. A city takes about 15 s, an image of 800x450 0.03 s: 12 scenes with four cameras some 7 minutes on
+    one core.
 
     Worked examples:
       mixo simulate city                                      12 scenes from 4 drives, seed 0
