@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mixo_env.simulator.city.blocks import FRONT_M, SidePlan
-from mixo_env.simulator.city.streets import BLOCK_M
+from mixo_env.simulator.city.streets import BLOCK_M, SIDEWALK_M
 from mixo_env.simulator.city.underpass import CLEARANCE_M, light_at, sky_share, underpass_at
 from mixo_env.simulator.city.vehicles import VehicleState
 from mixo_env.simulator.city.world import CityPlan, World, build_world
@@ -61,6 +61,16 @@ def test_nothing_stands_in_the_way_of_the_bridge() -> None:
     assert plan.blocked(0.5 * FRONT_M + 10.5, 1.0)
     assert not plan.blocked(0.5 * FRONT_M + 11.5, 1.0)
     assert not SidePlan().blocked(0.5 * FRONT_M, 5.0)
+
+
+def test_nothing_comes_out_of_the_walls_of_the_bridge(world: World) -> None:
+    g = world.static.geometry
+    centre = g[:, :3] + 0.5 * g[:, 3:6] + 0.5 * g[:, 6:]
+    for axis, x, y, length in world.underpasses.tolist():
+        along, across = (centre[:, :2] - (x, y)).T if axis == 0.0 else (centre[:, 1::-1] - (y, x)).T
+        inside = (np.abs(along) < 0.5 * length - 1.0) & (np.abs(across) < SIDEWALK_M - 0.4)
+        inside &= (centre[:, 2] > 0.5) & (centre[:, 2] < CLEARANCE_M - 0.1)
+        assert not inside.any()
 
 
 def test_pictures_are_too_dark_going_in_and_too_bright_coming_out(world: World) -> None:

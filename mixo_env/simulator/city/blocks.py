@@ -144,15 +144,15 @@ def build_side(city: City, column: int, row: int, side: int, rng: np.random.Gene
         plan: what is special about it.
     """
     frame = _frame(column, row, side)
-    _plots(city, frame, side, rng, plan.park, plan.blank)
+    _plots(city, frame, side, rng, plan)
     _pavement_furniture(city, frame, rng, plan)
     _parked_cars(city, frame, rng, plan)
 
 
-def _plots(city: City, frame: _Frame, side: int, rng: np.random.Generator, park: bool, blank: bool) -> None:
+def _plots(city: City, frame: _Frame, side: int, rng: np.random.Generator, plan: SidePlan) -> None:
     materials = city.materials
     start, stop = (0.0, FRONT_M) if side % 2 == 0 else (_CORNER_M, FRONT_M - _CORNER_M)
-    if blank:
+    if plan.blank:
         x, height = (start, stop), float(rng.uniform(9.0, 14.0))
         city.groups.append(frame.lay(furniture.blank_wall(materials, rng, x, (0.0, _CORNER_M), height), city.land))
         city.shadows.prism(frame.rectangle(x, (0.0, _CORNER_M)), height, field=True)
@@ -165,7 +165,7 @@ def _plots(city: City, frame: _Frame, side: int, rng: np.random.Generator, park:
         y = (float(rng.choice([0.0, 0.0, 0.4, 1.2])), float(rng.uniform(9.0, _CORNER_M)))
         position += width
         fate = rng.random()
-        if park or fate < 0.12:
+        if plan.park or fate < 0.12:
             mesh, height = furniture.garden(materials, rng, x, y)
             city.groups.append(frame.lay(mesh, city.land))
             city.shadows.prism(frame.rectangle(x, (y[0], y[0] + 0.8)), height)
@@ -176,7 +176,8 @@ def _plots(city: City, frame: _Frame, side: int, rng: np.random.Generator, park:
             height = float(rng.uniform(6.0, 15.0))
             mesh = furniture.blank_wall(materials, rng, x, y, height)
         else:
-            mesh, height = furniture.house(materials, rng, x, y, int(rng.choice([2, 3, 3, 4, 5, 6, 8])))
+            bare = plan.blocked(0.5 * (x[0] + x[1]), 0.5 * (x[1] - x[0]))
+            mesh, height = furniture.house(materials, rng, x, y, int(rng.choice([2, 3, 3, 4, 5, 6, 8])), bare)
         city.groups.append(frame.level(mesh, city.land, 0.5 * (x[0] + x[1])))
         city.shadows.prism(frame.rectangle(x, y), height, field=True)
 

@@ -62,8 +62,13 @@ def _reliefs(materials: Materials, rng: np.random.Generator, x: Pair, front: flo
     return patches
 
 
-def house(materials: Materials, rng: np.random.Generator, x: Pair, y: Pair, storeys: int) -> tuple[Mesh, float]:
-    """A house on the plot ``x`` by ``y`` (y[0] is the street front) and its height in metres."""
+def house(
+    materials: Materials, rng: np.random.Generator, x: Pair, y: Pair, storeys: int, bare: bool = False
+) -> tuple[Mesh, float]:
+    """A house on the plot ``x`` by ``y`` (y[0] is the street front) and its height in metres.
+
+    A ``bare`` one is the same, but nothing stands out of its front: an underpass lies before it.
+    """
     wall = _tinted(_one(materials.facades, rng), rng, 0.75, 1.2)
     height = STOREY_M * storeys + float(rng.choice([0.0, 0.6]))
     ground_floor = 0.0
@@ -82,7 +87,8 @@ def house(materials: Materials, rng: np.random.Generator, x: Pair, y: Pair, stor
     hut = float(rng.uniform(x[0], x[1] - 2.5))
     plan = (hut, hut + 2.2), (y[0] + 3.0, y[0] + 5.0)
     patches += box(materials.walls[0], materials.roof, *plan, (height, height + 2.4), rng)
-    patches += _reliefs(materials, rng, x, y[0], height)
+    reliefs = _reliefs(materials, rng, x, y[0], height)
+    patches += [] if bare else reliefs
     return mesh_of(patches), height
 
 
