@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from mixo_env.errors import PolicyError
+from mixo_env.errors import ConfigurationError, PolicyError
 from mixo_env.files import atomic_path, write_json, write_text
 from mixo_env.leaderboard.comparisons import Comparison
 from mixo_env.leaderboard.crossvalidation import UNFOLDED, CrossValidation, Run
@@ -57,7 +57,7 @@ class Scored:
 def check_experts(suite: Recordings, headline: Recordings, name: str) -> None:
     """Refuse a kind recorded by other experts than the policies were fitted on.
 
-    Settings that one of the two does not tell, because they came later, are no difference.
+    A setting that one of the two does not tell is a difference: its experts knew nothing of it.
 
     Raises:
         PolicyError: one line that names the first difference.
@@ -69,12 +69,12 @@ def check_experts(suite: Recordings, headline: Recordings, name: str) -> None:
         )
     for group in ("monocular", "inertial"):
         here, there = (json.loads(json.dumps(r.manifest.parameters.get(group, {}))) for r in (suite, headline))
-        if differ := sorted(key for key in set(here) & set(there) if here[key] != there[key]):
-            key = differ[0]
-            raise PolicyError(
-                f"{name}: recorded with {group} {key} {here[key]}, policies were fitted on {there[key]}: record the "
-                "suite with the headline's experts"
-            )
+        for key in sorted(set(here) | set(there)):
+            if here.get(key) != there.get(key):
+                raise PolicyError(
+                    f"{name}: recorded with {group} {key} {here.get(key, 'unknown')}, policies were fitted on "
+                    f"{there.get(key, 'experts that have none')}: record the suite with the headline's experts"
+                )
 
 
 def fitted(chosen: Sequence[str], suite: Recordings, headline: Recordings) -> list[Policy]:
@@ -119,12 +119,18 @@ def write_tables(
 
     Raises:
         PolicyError: for a kind that other experts recorded than the headline.
+        ConfigurationError: when all scenes of a kind are too short for a score.
         OutputError: when a file cannot be written.
     """
     for name, suite in recorded.items():
         check_experts(suite, headline, name)
     policies = fitted(chosen, next(iter(recorded.values())), headline)
     scored = {name: score(policies, suite) for name, suite in recorded.items()}
+    for name, of in scored.items():
+        if not np.isfinite(list(of.errors.values())).all():
+            raise ConfigurationError(
+                f"{name}: no scene of {of.scenes} is as long as the shortest path that is scored: make --seconds longer"
+            )
     matrix = {policy.name: {name: of.errors[policy.name] for name, of in scored.items()} for policy in policies}
     write_json(out / "failures.json", {"data_version": headline.manifest.data_version, "matrix": matrix})
     write_text(out / "failures.md", markdown(scored, headline.manifest.data_version))

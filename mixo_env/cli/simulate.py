@@ -37,8 +37,8 @@ class Simulate:
     config: Annotated[SimulationConfig, tyro.conf.arg(name="")] = field(default_factory=SimulationConfig)
     """What to simulate."""
     situation: str | None = None
-    """Stage this in every scene, one scene a log, by day (--rain 1: in rain): a name of --situations, low_texture or
-    ordinary. None: by shares."""
+    """Stage this in every scene, one scene a log, by day (--rain 1 --night 0: in rain): a name of --situations,
+    low_texture or ordinary. None: by shares."""
     workers: int = 1
     """Processes; the files do not depend on it."""
     only: tuple[str, ...] = ()

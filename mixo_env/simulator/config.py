@@ -14,7 +14,10 @@ def _check_shares(kind: str, shares: dict[str, float]) -> None:
             raise ConfigurationError(f"{kind} {name} must lie between 0 and 1, got {share:g}: change it")
     total = sum(shares.values())
     if total > 1.0 + 1e-9:
-        raise ConfigurationError(f"the shares of {kind} add up to {total:.3g}, at most 1 is possible: lower some")
+        named = ", ".join(f"{name} {share:g}" for name, share in shares.items() if share)
+        raise ConfigurationError(
+            f"the shares of {kind} add up to {total:.3g}, at most 1 is possible: lower some of {named}"
+        )
 
 
 @dataclass(frozen=True)

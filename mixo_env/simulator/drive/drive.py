@@ -126,6 +126,8 @@ def _cruise_mps(rng: np.random.Generator, situation: str, motion: Motion) -> flo
     """The speed of free traffic, at which the scene's mean is possible."""
     if situation == "fast_straight" or motion.mean_mps > 9.0:
         return motion.mean_mps * rng.uniform(1.02, 1.15)
+    if situation == "majority_wrong":  # a convoy creeps, and does not stop
+        return motion.mean_mps * rng.uniform(1.1, 1.25)
     if rng.uniform() < 0.2:  # everybody drives slowly here
         return max(motion.mean_mps, 1.2) * rng.uniform(1.1, 1.5)
     return float(np.clip(rng.normal(9.0, 1.9), max(1.08 * motion.mean_mps, 4.5), 13.5))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -24,7 +24,7 @@ from mixo_env.simulator.drive.people import Person, stage_people
 from mixo_env.simulator.drive.scenario import LOCATION, LogPlan, ScenePlan, generator
 from mixo_env.simulator.drive.traffic import Vehicle, stage_traffic
 from mixo_env.simulator.drive.vehicle_bus import bus_messages
-from mixo_env.simulator.picture.faults import PASSING, PixelFault, dropped, knock, spoil
+from mixo_env.simulator.picture.faults import PASSING, PixelFault, Shot, dropped, glaring_sun, knock
 
 if TYPE_CHECKING:
     from mixo_env.simulator.city.world import BlockSide
@@ -116,31 +116,44 @@ def simulate_scene(config: SimulationConfig, log: LogPlan, plan: ScenePlan, root
 
 
 def pictures(
-    config: SimulationConfig, log: LogPlan, plan: ScenePlan, simulated: SimulatedScene, renderer: Renderer
+    config: SimulationConfig,
+    log: LogPlan,
+    plan: ScenePlan,
+    simulated: SimulatedScene,
+    renderer: Renderer,
+    channels: Sequence[str] = (),
 ) -> Iterator[tuple[Path, NDArray[np.uint8]]]:
-    """Every picture of the scene with its path, camera by camera in time order (the exposure control has a memory)."""
+    """Every picture of the scene with its path, camera by camera in time order (the exposure control has a memory).
+
+    A knocked camera looks where it does; all other faults come after the picture, see :func:`shots`.
+
+    Args:
+        config: of the data set.
+        log: of the scene.
+        plan: of the scene.
+        simulated: the scene.
+        renderer: of the log.
+        channels: cameras; empty for all.
+    """
     from mixo_env.simulator.picture.drops import drops_on, glass_of
     from mixo_env.simulator.picture.drops_seen import drops_veil
 
     shutter_s = renderer.weather.shutter_s
-    scene_fault = camera_fault(config, plan)
-    for channel in config.cameras:
+    fault = camera_fault(config, plan)
+    for channel in channels or config.cameras:
         calibration = log.rig.true[channel]
-        fault = scene_fault if scene_fault is not None and scene_fault.camera == channel else None
-        if fault is not None and fault.kind == "knocked":
+        if fault is not None and fault.camera == channel:
             calibration = replace(
                 calibration, rotation_ego_from_camera=knock(fault) @ calibration.rotation_ego_from_camera
             )
-        reel = simulated.scene.cameras[channel]
-        gain = last = drops = None
+        gain = drops = None
         if log.weather == "rain":
             name = (config.seed, *b"drops", plan.number, *channel.encode())
             drops = drops_on(glass_of(channel), name, config.seconds, calibration.intrinsic[0, 0] / config.width)
-        path_at = dict(zip(reel.timestamp_us.tolist(), reel.image_paths, strict=True))
         exposures_us = simulated.times.cameras[channel].exposure_us
         until_next_s = np.diff(exposures_us, append=exposures_us[-1]) / 1e6
-        for number, exposure_us in enumerate(exposures_us):
-            open_s = (int(exposure_us) - plan.start_us) / 1e6
+        for number, (exposure_us, path) in enumerate(_exposed(simulated, channel)):
+            open_s = (exposure_us - plan.start_us) / 1e6
             noise = generator(config, "noise", plan.number, *channel.encode(), number)
             picture = renderer.render(
                 calibration,
@@ -159,11 +172,33 @@ def pictures(
                 next_s=float(until_next_s[number]),
             )
             gain = picture.gain
-            path = path_at.get(int(simulated.times.cameras[channel].timestamp_us[number]))
-            if path is None:  # dropped; but the exposure control has seen it
-                continue
-            last = picture.image if fault is None else spoil(picture.image, last, fault, open_s)
-            yield path, last
+            if path is not None:  # else dropped; but the exposure control has seen it
+                yield path, picture.image
+
+
+def _exposed(simulated: SimulatedScene, channel: str) -> Iterator[tuple[int, Path | None]]:
+    """Time of exposure [us] and path of every picture a camera takes; ``None`` for those that it loses."""
+    reel, times = simulated.scene.cameras[channel], simulated.times.cameras[channel]
+    path_at = dict(zip(reel.timestamp_us.tolist(), reel.image_paths, strict=True))
+    for time_us, exposure_us in zip(times.timestamp_us.tolist(), times.exposure_us.tolist(), strict=True):
+        yield exposure_us, path_at.get(time_us)
+
+
+def shots(log: LogPlan, plan: ScenePlan, simulated: SimulatedScene, fault: PixelFault) -> dict[Path, Shot]:
+    """How every picture of the faulty camera was taken."""
+    calibration, drive = log.rig.true[fault.camera], simulated.drive
+
+    def view(time_s: float) -> NDArray[np.float64]:
+        mounted = calibration.rotation_ego_from_camera, calibration.translation_m
+        return camera_pose(drive, *mounted, time_s).rotation_map_from_camera
+
+    sun = glaring_sun(fault, view(0.5 * (simulated.times.sample_us[-1] - plan.start_us) / 1e6))
+    taken = {}
+    for exposure_us, path in _exposed(simulated, fault.camera):
+        if path is not None:
+            open_s = (exposure_us - plan.start_us) / 1e6
+            taken[path] = Shot(open_s, calibration.intrinsic, view(open_s).T @ sun)
+    return taken
 
 
 def _without_dropped(frames: CameraTimes, fault: PixelFault, start_us: int) -> CameraTimes:

@@ -34,10 +34,11 @@ _PATH_SHARES = ((STANDING_SHARE, STANDING_M), (1.0 - 0.1929, 150.0), (1.0 - 0.03
 _TURNED_SHARES = ((0.443, 5.0), (1.0 - 0.3459, 30.0), (1.0 - 0.2294, 60.0))
 
 STANDING = frozenset({"standing", "standing_cross_traffic"})
-TURNING = frozenset({"tight_turn", "lead_truck"})
+TURNING = frozenset({"tight_turn", "lead_truck", "majority_wrong"})
 
 _TURN_DEG = (77.0, 103.0)  # a whole turn
 _TURN_PATH_M = (50.0, 135.0)
+_CREEP_PATH_M = (40.0, 70.0)  # of a convoy through a turn
 _FAST_M, _FAST_TURN_DEG = (203.0, 285.0), (0.0, 12.0)
 _TWO_TURNS_DEG, _TWO_TURNS_PATH_M = 104.0, (96.0, 150.0)
 
@@ -110,7 +111,8 @@ def deal_motions(rng: np.random.Generator, situations: Sequence[str]) -> tuple[M
         if situations[number] == "fast_straight":
             dealt[number] = paths.take(rng, *_FAST_M), turns.take(rng, *_FAST_TURN_DEG)
         elif situations[number] in TURNING:
-            dealt[number] = paths.take(rng, *_TURN_PATH_M), turns.take(rng, *_TURN_DEG)
+            reach = _CREEP_PATH_M if situations[number] == "majority_wrong" else _TURN_PATH_M
+            dealt[number] = paths.take(rng, *reach), turns.take(rng, *_TURN_DEG)
     free = [number for number in moving if number not in dealt]
     pairs = _paired(rng, paths, turns, len(free))
     for number, index in zip(free, rng.permutation(len(free)), strict=True):

@@ -32,6 +32,7 @@ _BEYOND_S = 0.5  # vehicles are known this long before and after the scene
 _SIGHT_M = 110.0
 _STANDING_ASIDE_M = 1.5  # who stands in the lane stands this far right of its middle, along the parked cars
 _CLEAR_AHEAD_M, _CLEAR_ASIDE_M = 0.9, 0.15  # room around every vehicle, half of the smallest gap
+_GAPS_M = (2.1, 2.4, 2.8, 3.3, 3.9)  # of a convoy to the vehicles before and behind the car
 _KINDS, _KIND_SHARES = ("sedan", "suv", "van", "truck"), (0.52, 0.26, 0.15, 0.07)
 
 
@@ -122,11 +123,13 @@ def car_itself(drive: Drive, time_s: FloatArray) -> Vehicle:
 def _candidates(rng: np.random.Generator, drive: Drive, time_s: FloatArray, land: Land) -> Iterator[Vehicle]:
     """Vehicles in the order of their importance; the first ones are the staged ones."""
     situation = drive.situation
-    if situation in {"lead_truck", "majority_wrong"}:
+    if situation == "majority_wrong":
+        yield from _convoy(rng, drive, time_s)
+    if situation == "lead_truck":
         yield _in_own_lane(rng, drive, time_s, "truck", rng.uniform(0.7, 1.2), gap_m=rng.uniform(3.2, 4.2))
     elif rng.uniform() < 0.35 and situation != "standing_cross_traffic":  # who leads would stand in the crossing
         yield _in_own_lane(rng, drive, time_s, _kind(rng), rng.uniform(1.4, 3.0), gap_m=rng.uniform(2.5, 6.0))
-    if situation in {"following_van", "majority_wrong"}:
+    if situation == "following_van":
         yield _in_own_lane(rng, drive, time_s, "van", -rng.uniform(0.4, 0.8), gap_m=rng.uniform(2.4, 3.0))
     elif rng.uniform() < 0.35:
         yield _in_own_lane(rng, drive, time_s, _kind(rng), -rng.uniform(1.2, 2.5), gap_m=rng.uniform(2.5, 6.0))
@@ -135,7 +138,7 @@ def _candidates(rng: np.random.Generator, drive: Drive, time_s: FloatArray, land
         yield _in_the_way(rng, drive, time_s, passed_m)
     own, crossing = lanes_of(drive, time_s)
     for lane in own:
-        if situation in {"side_queue", "majority_wrong"}:
+        if situation == "side_queue":
             speed_mps, pause_m = rng.uniform(0.0, 1.0), (1.5, 3.5)
         elif situation == "oncoming_platoon":
             speed_mps, pause_m = rng.uniform(5.0, 9.0), (7.0, 14.0)
@@ -159,13 +162,37 @@ def _in_own_lane(
         shift_m = REAR_AXLE_TO_FRONT_M + gap_m + 0.5 * length_m
     else:
         shift_m = -(REAR_AXLE_TO_REAR_M + gap_m + 0.5 * length_m)
-    centre_m = drive.at("s_m", time_s + ahead_s) + shift_m
+    return _along_route(drive, time_s, (kind, _colour(rng)), drive.at("s_m", time_s + ahead_s) + shift_m)
+
+
+def _along_route(
+    drive: Drive, time_s: FloatArray, look: tuple[str, int], centre_m: FloatArray, aside_m: float = 0.0
+) -> Vehicle:
+    """A vehicle at arc lengths ``centre_m`` of the car's route, ``aside_m`` left of it."""
+    length_m = VEHICLE_KINDS[look[0]].length_m
     front_x, front_y, _ = drive.route.at(centre_m + 0.3 * length_m)
     rear_x, rear_y, course = drive.route.at(centre_m - 0.3 * length_m)
     # Both axles stay on the route; the direction between them is taken next to the course, so that it does not wrap.
     chord = np.arctan2(front_y - rear_y, front_x - rear_x)
     yaw = course + np.angle(np.exp(1j * (chord - course)))
-    return Vehicle(kind, _colour(rng), time_s, 0.5 * (front_x + rear_x), 0.5 * (front_y + rear_y), yaw)
+    x, y = 0.5 * (front_x + rear_x) - aside_m * np.sin(yaw), 0.5 * (front_y + rear_y) + aside_m * np.cos(yaw)
+    return Vehicle(*look, time_s, x, y, yaw)
+
+
+def _convoy(rng: np.random.Generator, drive: Drive, time_s: FloatArray) -> Iterator[Vehicle]:
+    """Two columns that creep through a turn abreast, bumper to bumper, the car in the right one.
+
+    All move as one body, so that the cameras which see it agree on a motion that is not the car's. More places are
+    named than there is room for: the earlier ones are taken.
+    """
+    s_m = drive.at("s_m", time_s)
+    for ahead_s in (0.05, -0.05):
+        for gap_m in _GAPS_M:  # the first that fits through the turn; the others are where it is
+            yield _in_own_lane(rng, drive, time_s, "truck", ahead_s, gap_m)
+    beside_m = rng.uniform(3.0, 5.0)  # of the one that fills the view to the left
+    for along_m in (beside_m, *np.arange(beside_m, 20.0, 0.8), *np.arange(beside_m, -13.0, -0.8)):
+        kind = str(rng.choice(("van", "truck"), p=(0.25, 0.75)))
+        yield _along_route(drive, time_s, (kind, _colour(rng)), s_m + along_m, 2.0 * LANE_M)
 
 
 def _in_the_way(rng: np.random.Generator, drive: Drive, time_s: FloatArray, passed_m: float) -> Vehicle:

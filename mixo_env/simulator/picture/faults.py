@@ -1,7 +1,8 @@
 """Faults of one camera, at the pixels: what it sees changes; drive, truth, poses and CAN bus never do.
 
-Pure functions of the finished picture and of the fault, which is drawn from data set, scene and camera. The two that
-need more are asked about before: a knocked camera is rendered from another direction, a dropped picture is not written.
+Pure functions of the finished picture, of how it was taken and of the fault, which is drawn from data set, scene and
+camera. The two that need more are asked about before: a knocked camera is rendered from another direction, a dropped
+picture is not written.
 """
 
 from __future__ import annotations
@@ -16,6 +17,9 @@ from numpy.typing import NDArray
 
 from mixo_env.errors import ConfigurationError, unknown
 from mixo_env.geometry import FloatArray, rotation_from_roll_pitch_yaw
+from mixo_env.simulator.picture.drops import OUTSIDE, Drops, drops_on
+from mixo_env.simulator.picture.drops_seen import add_drops
+from mixo_env.simulator.picture.glare import add_sun
 
 Image = NDArray[np.uint8]
 
@@ -24,6 +28,29 @@ GAMMA = 2.2
 
 LOST_SWEEPS = 0.7
 """Share of the pictures between key frames that a dropping camera loses."""
+
+RAIN_MMPH = 25.0
+"""Strength of the shower that leaves its drops on a lens."""
+
+DUST = 3.0
+"""Light that a dusty lens scatters, over that of a clean one."""
+
+_SUN_UP_RAD, _SUN_ASIDE_RAD = (0.07, 0.24), 0.35  # elevation of the glaring sun, azimuth from the view's middle
+
+
+@dataclass(frozen=True)
+class Shot:
+    """How a picture was taken.
+
+    Attributes:
+        time_s: of exposure, since the scene began.
+        intrinsic: ``(3, 3)`` of the camera.
+        sun: ``(3,)`` unit vector towards a glaring sun, camera axes (x right, y down, z forward).
+    """
+
+    time_s: float
+    intrinsic: FloatArray
+    sun: FloatArray
 
 
 @dataclass(frozen=True)
@@ -65,18 +92,18 @@ class PixelFault:
         return asdict(self)
 
 
-def spoil(image: Image, last: Image | None, fault: PixelFault, time_s: float) -> Image:
+def spoil(image: Image, last: Image | None, fault: PixelFault, shot: Shot) -> Image:
     """What the camera writes instead of a picture, which itself is left alone.
 
     Args:
         image: ``(h, w, 3)`` RGB as the sound camera gives it.
         last: written before it, which a frozen camera repeats; ``None`` for the first of a scene.
         fault: of this camera.
-        time_s: of exposure, since the scene began.
+        shot: how the picture was taken.
     """
-    if not fault.active(time_s):
+    if not fault.active(shot.time_s):
         return image
-    return KINDS[fault.kind](image, last, fault, time_s)
+    return KINDS[fault.kind](image, last, fault, shot)
 
 
 def dropped(fault: PixelFault, number: int, time_s: float, is_keyframe: bool) -> bool:
@@ -96,19 +123,19 @@ def knock(fault: PixelFault) -> FloatArray:
     return rotation_from_roll_pitch_yaw(roll, pitch, yaw)  # of so small angles: the rotation vector, within 1 %
 
 
-def _frozen(image: Image, last: Image | None, _fault: PixelFault, _time_s: float) -> Image:
+def _frozen(image: Image, last: Image | None, _fault: PixelFault, _shot: Shot) -> Image:
     return image if last is None else last
 
 
-def _black(image: Image, _last: Image | None, _fault: PixelFault, _time_s: float) -> Image:
+def _black(image: Image, _last: Image | None, _fault: PixelFault, _shot: Shot) -> Image:
     return np.zeros_like(image)
 
 
-def _as_it_is(image: Image, _last: Image | None, _fault: PixelFault, _time_s: float) -> Image:
+def _as_it_is(image: Image, _last: Image | None, _fault: PixelFault, _shot: Shot) -> Image:
     return image
 
 
-def _dirty(image: Image, _last: Image | None, fault: PixelFault, _time_s: float) -> Image:
+def _dirty(image: Image, _last: Image | None, fault: PixelFault, _shot: Shot) -> Image:
     cover = _dirt(fault.seed, *image.shape[:2])[..., None]
     return _picture(image * (1.0 - cover) + np.array([46.0, 40.0, 33.0]) * cover)
 
@@ -127,51 +154,43 @@ def _dirt(seed: int, height: int, width: int) -> FloatArray:
     return np.asarray(cv2.GaussianBlur(cover, (0, 0), 0.015 * width), np.float64)
 
 
-def _drops(image: Image, _last: Image | None, fault: PixelFault, _time_s: float) -> Image:
-    import cv2
-
+def _drops(image: Image, _last: Image | None, fault: PixelFault, shot: Shot) -> Image:
     height, width = image.shape[:2]
-    cover, map_x, map_y = _lenses(fault.seed, height, width)
-    seen = cv2.remap(image, map_x, map_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REFLECT)
-    seen = cv2.GaussianBlur(seen, (0, 0), 0.006 * width)
-    return _picture(image * (1.0 - cover[..., None]) + seen * cover[..., None])
+    drops = _shower(fault, float(shot.intrinsic[0, 0] / width), height / width)
+    return add_drops(image, drops, shot.time_s)
 
 
 @lru_cache(maxsize=8)
-def _lenses(seed: int, height: int, width: int) -> tuple[FloatArray, NDArray[np.float32], NDArray[np.float32]]:
-    """``(h, w)`` cover by drops, and the column and row seen through them: a drop shows the wide view upside down."""
-    import cv2
-
-    rng = np.random.default_rng(seed)
-    rows, columns = np.mgrid[:height, :width].astype(np.float32)
-    map_x, map_y, cover = columns.copy(), rows.copy(), np.zeros((height, width), np.float32)
-    for _ in range(int(rng.integers(15, 30))):
-        x, y, radius = rng.uniform(0, width), rng.uniform(0, height), width * rng.uniform(0.015, 0.06)
-        inside = (columns - x) ** 2 + (rows - y) ** 2 < radius**2
-        map_x[inside] = x - 4.0 * (columns[inside] - x)
-        map_y[inside] = y - 4.0 * (rows[inside] - y)
-        cover[inside] = 1.0
-    return np.asarray(cv2.GaussianBlur(cover, (0, 0), 0.005 * width), np.float64), map_x, map_y
+def _shower(fault: PixelFault, focal: float, aspect: float) -> Drops:
+    """Drops on an outside glass without a wiper, whatever the camera: kinds are compared across cameras."""
+    return drops_on(OUTSIDE, (fault.seed, *b"shower", *fault.camera.encode()), fault.end_s, focal, aspect, RAIN_MMPH)
 
 
-def _glare(image: Image, _last: Image | None, fault: PixelFault, _time_s: float) -> Image:
-    return _picture(image + _veil(fault.seed, *image.shape[:2])[..., None] * np.array([1.0, 0.96, 0.88]))
+def glaring_sun(fault: PixelFault, view: FloatArray) -> FloatArray:
+    """Where the sun of a glare stands.
+
+    Args:
+        fault: whose seed places it.
+        view: ``(3, 3)`` rotation map <- camera at the moment at which the sun stands in the picture; it stays in the
+            map, so the picture turns away from it when the car turns.
+
+    Returns:
+        ``(3,)`` unit vector towards it, map frame.
+    """
+    rng = np.random.default_rng([fault.seed, *b"sun"])
+    up = rng.uniform(*_SUN_UP_RAD)
+    azimuth = np.arctan2(view[1, 2], view[0, 2]) + rng.uniform(-_SUN_ASIDE_RAD, _SUN_ASIDE_RAD)
+    return np.array([np.cos(up) * np.cos(azimuth), np.cos(up) * np.sin(azimuth), np.sin(up)])
 
 
-@lru_cache(maxsize=8)
-def _veil(seed: int, height: int, width: int) -> FloatArray:
-    """``(h, w)`` stray light [display values]: a saturated disc, a glow around it and a veil over everything."""
-    rng = np.random.default_rng(seed)
-    x, y = rng.uniform(0.2, 0.8) * width, rng.uniform(0.1, 0.45) * height
-    rows, columns = np.mgrid[:height, :width]
-    distance = np.hypot(columns - x, rows - y) / width
-    return 35.0 + 150.0 * np.exp(-distance / 0.22) + 255.0 * (distance < rng.uniform(0.05, 0.09))
+def _glare(image: Image, _last: Image | None, _fault: PixelFault, shot: Shot) -> Image:
+    return add_sun(image, shot.intrinsic, shot.sun, DUST)
 
 
-def _exposure(image: Image, _last: Image | None, fault: PixelFault, time_s: float) -> Image:
+def _exposure(image: Image, _last: Image | None, fault: PixelFault, shot: Shot) -> Image:
     """The gain runs away by a factor of 4 to 8 within 2 s and sticks there: bright in one scene, dark in another."""
     rng = np.random.default_rng(fault.seed)
-    stops = rng.choice([-1.0, 1.0]) * rng.uniform(2.0, 3.0) * min(1.0, (time_s - fault.start_s) / 2.0)
+    stops = rng.choice([-1.0, 1.0]) * rng.uniform(2.0, 3.0) * min(1.0, (shot.time_s - fault.start_s) / 2.0)
     levels = 255.0 * ((np.arange(256) / 255.0) ** GAMMA * 2.0**stops) ** (1.0 / GAMMA)
     return _picture(levels)[image]
 
@@ -180,7 +199,7 @@ def _picture(values: FloatArray) -> Image:
     return np.rint(np.clip(values, 0.0, 255.0)).astype(np.uint8)
 
 
-KINDS: dict[str, Callable[[Image, Image | None, PixelFault, float], Image]] = {
+KINDS: dict[str, Callable[[Image, Image | None, PixelFault, Shot], Image]] = {
     "frozen": _frozen,
     "black": _black,
     "dropped": _as_it_is,
@@ -194,3 +213,6 @@ KINDS: dict[str, Callable[[Image, Image | None, PixelFault, float], Image]] = {
 
 PASSING = ("frozen", "black")
 """Kinds that last for the middle half of a scene: an image stuck from first to last would be no drive at all."""
+
+REDRAWN = ("knocked",)
+"""Kinds whose pictures are no function of the sound ones."""
