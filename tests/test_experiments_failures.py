@@ -1,32 +1,47 @@
 """The failure suite end to end on two short drives, and what it refuses."""
 
 import json
-from dataclasses import replace
+from collections.abc import Iterator
+from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from experiments import failures
+from experiments import failures, failures_table
 from experiments.failures import KINDS, SEEDS, STAGED_KINDS, Failures
-from experiments.failures_table import REFERENCES, check_experts, score, write_tables
+from experiments.failures_table import REFERENCES, Scored, check_experts, score, write_tables
 from experiments.mixocity import CONFIG
 from mixo_env.errors import ConfigurationError, DatasetError, PolicyError
+from mixo_env.experts.monocular.config import MonocularConfig
 from mixo_env.policies.single import Single
 from mixo_env.recordings.camera_faults import CAMERA_FAULTS, told_faults
+from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.store import load_recordings
+from mixo_env.simulator.config import FAULTS
 from mixo_env.simulator.drive.scenario import plan_logs
 
 ROWS = ("CAM_FRONT", "LINEAR", "HUBER")
 KINDS_HERE = ("ordinary", "black")
 
 
+def headline() -> Recordings:
+    """The bundled headline as if today's experts had recorded it."""
+    bundled = load_recordings()
+    parameters = dict(bundled.manifest.parameters) | {"monocular": asdict(MonocularConfig.preset("fast"))}
+    return bundled.replace(replace(bundled.manifest, parameters=parameters))
+
+
 @pytest.fixture(scope="module")
-def suite(tmp_path_factory: pytest.TempPathFactory) -> Failures:
+def suite(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Failures]:
     root = tmp_path_factory.mktemp("failures")
     made = Failures(root, root / "out", kinds=KINDS_HERE, policies=ROWS, scenes=2, seconds=5, width=160, workers=1)
-    made.run()
-    return made
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(
+            failures, "load_recordings", lambda source=None: load_recordings(source) if source else headline()
+        )
+        made.run()
+        yield made
 
 
 def test_kinds_are_sixteen_scenes_of_sixteen_logs_with_one_difficulty_each() -> None:
@@ -41,9 +56,27 @@ def test_kinds_are_sixteen_scenes_of_sixteen_logs_with_one_difficulty_each() -> 
 
 
 def test_headline_table_and_development_drives_differ() -> None:
-    assert len({CONFIG.seed, *SEEDS.values()}) == 3
-    assert Failures().config("black") == replace(Failures().config("ordinary"), fault=Failures().config("black").fault)
+    seeds = [{Failures(drives=drives).seed(kind) for kind in KINDS} for drives in SEEDS]  # type: ignore[arg-type]
+    assert not set.intersection(*seeds)
+    assert CONFIG.seed not in set.union(*seeds)
     assert Failures(drives="development").folder("black") != Failures().folder("black")
+
+
+def test_situations_share_no_drive_and_faults_have_the_ordinary_ones() -> None:
+    logs = {kind: plan_logs(Failures().config(kind)) for kind in STAGED_KINDS}
+    cities = [log.world_seed for of in logs.values() for log in of]
+    assert len(set(cities)) == 16 * len(STAGED_KINDS)
+    motions = [log.scenes[0].motion for of in logs.values() for log in of]
+    assert len(set(motions)) == len(motions)
+    for kind in FAULTS[1:]:
+        config = Failures().config(kind)
+        assert config == replace(Failures().config("ordinary"), fault=config.fault)
+
+
+def test_pictures_go_when_nothing_needs_them(suite: Failures) -> None:
+    assert not (suite.folder("black") / "images").exists()
+    assert (suite.folder("ordinary") / "images" / "samples").exists()  # other faults are to come
+    assert all(suite.recorded(kind) for kind in KINDS_HERE)
 
 
 def test_a_fault_is_in_the_manifest_and_leaves_truth_and_other_cameras_alone(suite: Failures) -> None:
@@ -63,7 +96,7 @@ def test_a_fault_is_in_the_manifest_and_leaves_truth_and_other_cameras_alone(sui
 
 def test_the_matrix_is_what_the_report_reads(suite: Failures) -> None:
     found = json.loads((suite.out / "failures.json").read_text())
-    assert found["data_version"] == load_recordings().manifest.data_version
+    assert found["data_version"] == headline().manifest.data_version
     assert set(found["matrix"]) == set(ROWS)
     for row in found["matrix"].values():
         assert list(row) == list(KINDS_HERE)
@@ -93,18 +126,34 @@ def test_rows_are_compared_with_the_references_and_corrected_together(suite: Fai
 
 
 def test_a_suite_of_other_experts_is_one_line(suite: Failures) -> None:
-    headline = load_recordings()
-    parameters = json.loads(json.dumps(headline.manifest.parameters))
-    parameters["monocular"]["features"] += 1
-    other = headline.replace(replace(headline.manifest, parameters=parameters))
-    with pytest.raises(PolicyError, match="black: recorded with monocular features") as caught:
-        write_tables({"black": other}, headline, suite.out)
-    assert "\n" not in str(caught.value)
+    ours = headline()
+    for change, message in (
+        ({"features": 3}, "recorded with monocular features 3"),
+        ({"apart_s": None}, "apart_s 0.3, "),
+    ):
+        monocular = ours.manifest.parameters["monocular"] | change
+        old = {key: value for key, value in monocular.items() if value is not None}
+        other = ours.replace(replace(ours.manifest, parameters=ours.manifest.parameters | {"monocular": old}))
+        recorded, fitted_on = (other, ours) if "features" in change else (ours, other)
+        with pytest.raises(PolicyError, match=f"black: .*{message}") as caught:
+            write_tables({"black": recorded}, fitted_on, suite.out)
+        assert "\n" not in str(caught.value)
     fewer = load_recordings(str(suite.folder("black") / "recordings"))
     fewer = fewer.replace(replace(fewer.manifest, cameras=fewer.manifest.cameras[::-1]))
     with pytest.raises(PolicyError, match="vote here"):
-        check_experts(fewer, headline, "black")
-    check_experts(headline, headline, "black")
+        check_experts(fewer, ours, "black")
+    check_experts(ours, ours, "black")
+
+
+def test_scenes_too_short_for_a_score_are_one_line_and_write_nothing(
+    suite: Failures, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recordings = load_recordings(str(suite.folder("black") / "recordings"))
+    nothing = Scored(dict.fromkeys(ROWS, float("nan")), {}, {}, ("CAM_FRONT", float("nan")), 2)
+    monkeypatch.setattr(failures_table, "score", lambda policies, suite: nothing)
+    with pytest.raises(ConfigurationError, match="black: no scene of 2 is as long"):
+        write_tables({"black": recordings}, headline(), tmp_path, ROWS)
+    assert not list(tmp_path.iterdir())
 
 
 def test_an_unknown_kind_is_one_line(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:

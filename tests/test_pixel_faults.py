@@ -77,13 +77,13 @@ def test_mud_stays_and_is_another_in_another_scene() -> None:
     assert (spoil(image, None, one, shot(1.0)) != spoil(image, None, replace(one, seed=4), shot(1.0))).any()
 
 
-def test_drops_come_and_go_and_cover_more_than_a_tenth_of_every_camera() -> None:
+def test_drops_come_and_go_and_dull_more_than_a_tenth_of_every_camera() -> None:
     image = np.repeat(np.tile([[40], [200]], (45, 160))[..., None], 3, axis=2).astype(np.uint8)  # finest stripes
     for camera in ("CAM_FRONT", "CAM_BACK"):
         one = PixelFault("drops", camera, 0.0, 9.0, seed=3)
         early, late = (spoil(image, None, one, shot(time_s)) for time_s in (1.0, 8.0))
         assert (early != late).any()
-        assert 0.1 < (np.abs(early.astype(int) - image).max(axis=2) > 30).mean() < 0.95
+        assert 0.1 < (np.abs(early.astype(int) - image).max(axis=2) > 10).mean() < 0.95
 
 
 def test_the_sun_of_a_glare_stays_in_the_map_and_hides_behind_the_car() -> None:

@@ -32,7 +32,8 @@ _BEYOND_S = 0.5  # vehicles are known this long before and after the scene
 _SIGHT_M = 110.0
 _STANDING_ASIDE_M = 1.5  # who stands in the lane stands this far right of its middle, along the parked cars
 _CLEAR_AHEAD_M, _CLEAR_ASIDE_M = 0.9, 0.15  # room around every vehicle, half of the smallest gap
-_GAPS_M = (2.1, 2.4, 2.8, 3.3, 3.9)  # of a convoy to the vehicles before and behind the car
+_CLEAR_IN_CONVOY_M = 0.25  # instead, where everybody creeps bumper to bumper
+_GAPS_M = (0.8, 1.0, 1.3, 1.7, 2.2, 2.8, 3.5)  # of a convoy to the vehicles before and behind the car
 _KINDS, _KIND_SHARES = ("sedan", "suv", "van", "truck"), (0.52, 0.26, 0.15, 0.07)
 
 
@@ -101,6 +102,10 @@ def stage_traffic(rng: np.random.Generator, drive: Drive, seconds: float, land: 
     time_s = scene_clock(seconds)
     accepted = [car_itself(drive, time_s)]
     car = accepted[0]
+    if drive.situation == "majority_wrong":
+        for vehicle in _convoy(rng, drive, time_s):
+            if not any(_too_close(vehicle, other, _CLEAR_IN_CONVOY_M) for other in accepted):
+                accepted.append(vehicle)
     for vehicle in _candidates(rng, drive, time_s, land):
         near = np.hypot(vehicle.x_m - car.x_m, vehicle.y_m - car.y_m).min() < _SIGHT_M
         if near and not any(_too_close(vehicle, other) for other in accepted):
@@ -123,8 +128,6 @@ def car_itself(drive: Drive, time_s: FloatArray) -> Vehicle:
 def _candidates(rng: np.random.Generator, drive: Drive, time_s: FloatArray, land: Land) -> Iterator[Vehicle]:
     """Vehicles in the order of their importance; the first ones are the staged ones."""
     situation = drive.situation
-    if situation == "majority_wrong":
-        yield from _convoy(rng, drive, time_s)
     if situation == "lead_truck":
         yield _in_own_lane(rng, drive, time_s, "truck", rng.uniform(0.7, 1.2), gap_m=rng.uniform(3.2, 4.2))
     elif rng.uniform() < 0.35 and situation != "standing_cross_traffic":  # who leads would stand in the crossing
@@ -190,9 +193,9 @@ def _convoy(rng: np.random.Generator, drive: Drive, time_s: FloatArray) -> Itera
         for gap_m in _GAPS_M:  # the first that fits through the turn; the others are where it is
             yield _in_own_lane(rng, drive, time_s, "truck", ahead_s, gap_m)
     beside_m = rng.uniform(3.0, 5.0)  # of the one that fills the view to the left
-    for along_m in (beside_m, *np.arange(beside_m, 20.0, 0.8), *np.arange(beside_m, -13.0, -0.8)):
-        kind = str(rng.choice(("van", "truck"), p=(0.25, 0.75)))
-        yield _along_route(drive, time_s, (kind, _colour(rng)), s_m + along_m, 2.0 * LANE_M)
+    for kind in ("truck", "van"):  # vans where no truck has room
+        for along_m in (beside_m, *np.arange(beside_m, 20.0, 0.4), *np.arange(beside_m, -16.0, -0.4)):
+            yield _along_route(drive, time_s, (kind, _colour(rng)), s_m + along_m, 2.0 * LANE_M)
 
 
 def _in_the_way(rng: np.random.Generator, drive: Drive, time_s: FloatArray, passed_m: float) -> Vehicle:
@@ -252,10 +255,10 @@ def lanes_of(drive: Drive, time_s: FloatArray) -> tuple[list[Lane], list[Lane]]:
     return list(own), [lane for lane in crossing if lane not in driven]
 
 
-def _too_close(a: Vehicle, b: Vehicle) -> bool:
+def _too_close(a: Vehicle, b: Vehicle, ahead_m: float = _CLEAR_AHEAD_M) -> bool:
     """Whether the two, each with some room around it, ever overlap (separating axes of two rectangles)."""
     dx, dy = b.x_m - a.x_m, b.y_m - a.y_m
-    half_a, half_b = _half_m(a), _half_m(b)
+    half_a, half_b = _half_m(a, ahead_m), _half_m(b, ahead_m)
     near = np.hypot(dx, dy) < np.hypot(*half_a) + np.hypot(*half_b)
     if not near.any():
         return False
@@ -270,9 +273,9 @@ def _too_close(a: Vehicle, b: Vehicle) -> bool:
     return not apart.all()
 
 
-def _half_m(vehicle: Vehicle) -> tuple[float, float]:
+def _half_m(vehicle: Vehicle, ahead_m: float) -> tuple[float, float]:
     length_m, width_m = vehicle.size_m
-    return 0.5 * length_m + _CLEAR_AHEAD_M, 0.5 * width_m + _CLEAR_ASIDE_M
+    return 0.5 * length_m + ahead_m, 0.5 * width_m + _CLEAR_ASIDE_M
 
 
 def _kind(rng: np.random.Generator) -> str:
