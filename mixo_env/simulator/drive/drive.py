@@ -138,8 +138,8 @@ def _route(rng: np.random.Generator, situation: str, cruise_mps: float, motion: 
         return plan_route(rng, [STRAIGHT] * 7, cruise_mps, land)
     moves = [int(move) for move in rng.choice([LEFT, STRAIGHT, RIGHT], size=6, p=[0.06, 0.88, 0.06])]
     number, side = int(rng.integers(2, 4)), int(rng.choice([LEFT, RIGHT]))
-    if situation == "majority_wrong":  # the other column keeps to the outer side, where it stays in view
-        side = RIGHT
+    if situation == "majority_wrong":  # one turn, with the other column on its outer side, where it stays in view
+        moves, side = [STRAIGHT] * 6, RIGHT
     if situation in TURNING or motion.turned_rad > _ONE_TURN_RAD:
         moves[number] = side
     if motion.turned_rad > _TWO_TURNS_RAD:

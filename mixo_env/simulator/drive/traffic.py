@@ -7,6 +7,7 @@ streets. A candidate that would come too close to the car or to an earlier vehic
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator
 from dataclasses import dataclass
 
@@ -33,6 +34,7 @@ _SIGHT_M = 110.0
 _STANDING_ASIDE_M = 1.5  # who stands in the lane stands this far right of its middle, along the parked cars
 _CLEAR_AHEAD_M, _CLEAR_ASIDE_M = 0.9, 0.15  # room around every vehicle, half of the smallest gap
 _CLEAR_IN_CONVOY_M = 0.25  # instead, where everybody creeps bumper to bumper
+_COLUMN_ASIDE_M = 3.9  # of its other column: beyond the middle of the oncoming lane, as vehicles cut in in a turn
 _GAPS_M = (0.8, 1.0, 1.3, 1.7, 2.2, 2.8, 3.5)  # of a convoy to the vehicles before and behind the car
 _KINDS, _KIND_SHARES = ("sedan", "suv", "van", "truck"), (0.52, 0.26, 0.15, 0.07)
 
@@ -193,9 +195,10 @@ def _convoy(rng: np.random.Generator, drive: Drive, time_s: FloatArray) -> Itera
         for gap_m in _GAPS_M:  # the first that fits through the turn; the others are where it is
             yield _in_own_lane(rng, drive, time_s, "truck", ahead_s, gap_m)
     beside_m = rng.uniform(3.0, 5.0)  # of the one that fills the view to the left
-    for kind in ("truck", "van"):  # vans where no truck has room
-        for along_m in (beside_m, *np.arange(beside_m, 20.0, 0.4), *np.arange(beside_m, -16.0, -0.4)):
-            yield _along_route(drive, time_s, (kind, _colour(rng)), s_m + along_m, 2.0 * LANE_M)
+    places = [[beside_m, beside_m - 0.5, beside_m + 0.5], np.arange(8.0, 20.0, 0.4), np.arange(0.0, -16.0, -0.4)]
+    for along, kind in itertools.product(places, ("truck", "van")):  # vans where no truck has room
+        for along_m in along:
+            yield _along_route(drive, time_s, (kind, _colour(rng)), s_m + along_m, _COLUMN_ASIDE_M)
 
 
 def _in_the_way(rng: np.random.Generator, drive: Drive, time_s: FloatArray, passed_m: float) -> Vehicle:
