@@ -25,8 +25,8 @@ from mixo_env.nuscenes.writer import scene_tables, write_can_bus, write_json, wr
 from mixo_env.simulator.config import CameraFault, SimulationConfig
 from mixo_env.simulator.drive.scenario import LogPlan, ScenePlan, plan_logs
 from mixo_env.simulator.drive.scenes import SimulatedScene, blank_sides, camera_fault, pictures, shots, simulate_scene
+from mixo_env.simulator.drive.spoiling import Spoiler, encoded
 from mixo_env.simulator.picture.faults import REDRAWN
-from mixo_env.simulator.spoiling import Spoiler, encoded
 
 if TYPE_CHECKING:
     from mixo_env.simulator.picture.render import Renderer
