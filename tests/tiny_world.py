@@ -73,6 +73,7 @@ def world_of(textures: Sequence[Bytes], patches: Sequence[Patch]) -> World:
         sun=SUN,
         static=packed([mesh_of([patch]) for patch in patches], SUN),
         vehicles={},
+        people={},
         texels=texels,
         table=table,
         detail=detail,
@@ -82,6 +83,7 @@ def world_of(textures: Sequence[Bytes], patches: Sequence[Patch]) -> World:
         shadow_height=field,
         lamp_light=np.zeros((1024, 1024), np.float32),
         ground_texels_per_m=16.0,
+        underpasses=np.empty((0, 4)),
     )
 
 

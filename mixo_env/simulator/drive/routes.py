@@ -1,7 +1,7 @@
-"""Paths of the rear axle along the street grid: straights, rounded turns, a driver who does not hold the lane exactly.
+"""Paths of the rear axle along the streets: straights, rounded turns, a driver who does not hold the lane exactly.
 
-A path is built from its curvature, which is smooth everywhere, so that heading and position follow by integration
-and the car can really drive it.
+A path is built on the street grid from its curvature, which is smooth everywhere, so that heading and position follow
+by integration and the car can really drive it; then it is laid on the land, whose bends are smooth as well.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixo_env.geometry import rotation_from_yaw
+from mixo_env.simulator.city.land import Land
 from mixo_env.simulator.city.streets import BLOCK_M, HALF_CITY_BLOCKS, LANE_M
 
 FloatArray = NDArray[np.float64]
@@ -26,7 +27,7 @@ LEFT, STRAIGHT, RIGHT = 1, 0, -1
 STOP_BEFORE_CROSSING_M = 12.5
 """Rear axle to the centre of the crossing when the car waits at the stop line."""
 
-SWERVE_EVERY_M = 60.0
+SWERVE_EVERY_M = 100.0
 """Average distance between two swerves around something at the roadside."""
 
 MAX_OFFSET_M = 1.0
@@ -49,8 +50,9 @@ class Route:
     """A path, sampled every ``STEP_M`` along its length, map frame.
 
     Attributes:
-        s_m: ``(n,)`` arc length from the start.
-        x_m, y_m: ``(n,)`` position.
+        s_m: ``(n,)`` arc length from the start, along the slope.
+        u_m, v_m: ``(n,)`` position on the street grid.
+        x_m, y_m, z_m: ``(n,)`` position.
         course_rad: ``(n,)`` direction of travel, not wrapped.
         curvature_pm: ``(n,)`` d(course)/ds [1/m], positive to the left.
         stops_m: arc lengths of the stop lines.
@@ -59,8 +61,11 @@ class Route:
     """
 
     s_m: FloatArray
+    u_m: FloatArray
+    v_m: FloatArray
     x_m: FloatArray
     y_m: FloatArray
+    z_m: FloatArray
     course_rad: FloatArray
     curvature_pm: FloatArray
     stops_m: tuple[float, ...]
@@ -75,9 +80,24 @@ class Route:
         y = np.interp(s_m, self.s_m, self.y_m) + beyond * np.sin(course)
         return x, y, course
 
+    def on_grid(self, s_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """U and v at arc lengths; straight on beyond both ends."""
+        beyond = s_m - np.clip(s_m, self.s_m[0], self.s_m[-1])
+        end = np.where(beyond > 0, -1, 1)
+        u, v = (
+            np.interp(s_m, self.s_m, grid) + beyond * (grid[end] - grid[end - 1]) / STEP_M
+            for grid in (self.u_m, self.v_m)
+        )
+        return u, v
+
 
 def plan_route(
-    rng: np.random.Generator, moves: Sequence[int], speed_mps: float, tight: bool = False, passing: float = 0.0
+    rng: np.random.Generator,
+    moves: Sequence[int],
+    speed_mps: float,
+    land: Land,
+    tight: bool = False,
+    passing: float = 0.0,
 ) -> Route:
     """A path through the crossings ``moves`` (LEFT, STRAIGHT, RIGHT), somewhere in the city.
 
@@ -85,6 +105,7 @@ def plan_route(
         rng: draws radii, lane keeping and the place in the city.
         moves: what to do at each crossing; at most seven fit into the city.
         speed_mps: usual speed; a driver corrects the car's place in the lane every few seconds, not metres.
+        land: of the city.
         tight: turn with the smallest radius.
         passing: probability of a vehicle in the way in each block but the first.
     """
@@ -124,16 +145,66 @@ def plan_route(
     y = _integrated(np.sin(course)) - LANE_M + offset_m[0]
     quarter, shift_blocks = _place(rng, x - start_m, y)
     rotation = rotation_from_yaw(quarter * np.pi / 2.0)[:2, :2]
-    position = rotation @ np.stack([x - start_m, y]) + BLOCK_M * shift_blocks[:, None]
+    u, v = rotation @ np.stack([x - start_m, y]) + BLOCK_M * shift_blocks[:, None]
+    marks = np.array([*stops, *np.ravel(turns), *passed])
+    return _laid(land, s, (u, v), course + quarter * np.pi / 2.0, marks, (len(stops), len(turns)))
+
+
+def _laid(
+    land: Land,
+    s: FloatArray,
+    grid: tuple[FloatArray, FloatArray],
+    course: FloatArray,
+    marks: FloatArray,
+    counts: tuple[int, int],
+) -> Route:
+    """A path on the grid laid on the land and sampled anew along its slope.
+
+    Args:
+        land: of the city.
+        s: ``(n,)`` arc length on the grid.
+        grid: u and v of the path.
+        course: on the grid.
+        marks: arc lengths of stop lines, of beginnings and ends of turns in pairs, and of vehicles to pass.
+        counts: how many stop lines and turns there are.
+    """
+    x, y = land.map(*grid)
+    z = land.height(*grid)
+    along = np.concatenate([[0.0], np.cumsum(np.sqrt(np.diff(x) ** 2 + np.diff(y) ** 2 + np.diff(z) ** 2))])
+    even: FloatArray = STEP_M * np.arange(int(along[-1] / STEP_M) + 1, dtype=np.float64)
+    at = np.interp(even, along, s)
+    u, v, course = (_smoothly(at / STEP_M, values) for values in (*grid, course))
+    x, y = land.map(u, v)
+    course = land.heading(u, v, course)
+    marks = np.interp(marks, s, along)
+    stops, turns = marks[: counts[0]], marks[counts[0] : counts[0] + 2 * counts[1]].reshape(-1, 2)
     return Route(
-        s,
-        position[0],
-        position[1],
-        course + quarter * np.pi / 2.0,
-        curvature + np.gradient(offset_slope, STEP_M),
-        tuple(stops),
-        tuple(turns),
-        tuple(passed),
+        even,
+        u,
+        v,
+        x,
+        y,
+        land.height(u, v),
+        course,
+        np.gradient(course, STEP_M),
+        tuple(stops.tolist()),
+        tuple((first, last) for first, last in turns.tolist()),
+        tuple(marks[counts[0] + 2 * counts[1] :].tolist()),
+    )
+
+
+def _smoothly(at: FloatArray, values: FloatArray) -> FloatArray:
+    """``values`` between their samples by Catmull-Rom cubics, whose slope does not jump as that of straight pieces."""
+    padded = np.concatenate([[2.0 * values[0] - values[1]], values, 2 * values[-1] - values[-2] + [0.0, 0.0]])
+    index = np.clip(at.astype(np.int64), 0, len(values) - 1)
+    f = at - index
+    before, here, there, after = (padded[index + k] for k in range(4))
+    slope, next_slope = 0.5 * (there - before), 0.5 * (after - here)
+    rest = 1.0 - f
+    return (
+        here * (1.0 + 2.0 * f) * rest * rest
+        + there * f * f * (3.0 - 2.0 * f)
+        + f * rest * (slope * rest - next_slope * f)
     )
 
 

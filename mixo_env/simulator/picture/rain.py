@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from mixo_env.compiled import compiled_unchecked
+from mixo_env.simulator.picture.fleet import HEIGHT, SPEED, YAW, X, Y
 from mixo_env.simulator.picture.mirror import mixed
 from mixo_env.simulator.picture.views import Float32s, Float64s, Int64s, UInt8s, View
 
@@ -95,7 +96,7 @@ def spray_puffs(states: Float64s, size_m: Float64s, view: View, wetness: float) 
     rotation, position_m = view.rotation, view.position_m
     count = 0
     for n in range(len(states)):
-        x, y, c, s, speed = states[n, 0], states[n, 1], np.cos(states[n, 2]), np.sin(states[n, 2]), states[n, 3]
+        x, y, c, s, speed = states[n, X], states[n, Y], np.cos(states[n, YAW]), np.sin(states[n, YAW]), states[n, SPEED]
         length, width, height = size_m[n, 0], size_m[n, 1], size_m[n, 2]
         if speed <= _NO_SPRAY_MPS:
             continue
@@ -105,7 +106,7 @@ def spray_puffs(states: Float64s, size_m: Float64s, view: View, wetness: float) 
             for side in (-1.0, 1.0):
                 aside = side * 0.42 * width  # wheels stand a little inside the body
                 dx, dy = x - back * c - aside * s - position_m[0], y - back * s + aside * c - position_m[1]
-                dz = 0.35 + 0.16 * age - position_m[2]
+                dz = states[n, HEIGHT] + 0.35 + 0.16 * age - position_m[2]
                 for axis in range(3):
                     out[count, axis] = rotation[axis, 0] * dx + rotation[axis, 1] * dy + rotation[axis, 2] * dz
                 out[count, 3] = (0.5 + 0.3 * age) * (0.7 + 0.3 * height)

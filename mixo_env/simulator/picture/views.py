@@ -135,9 +135,11 @@ class Lamps(NamedTuple):
     Attributes:
         window: light of street lamps and other cars on the ground, one value a metre, a power of two wide.
         corner: map position of its corner.
+        ground: ``(3,)`` the plane of the ground below the camera: height at the map's origin, slope along x and y.
         beam: ``(8,)`` rows x and y of ego from camera with their translation, for the car's own head lights.
     """
 
     window: Float32s
     corner: Float64s
+    ground: Float64s
     beam: Float64s

@@ -14,7 +14,7 @@ class Weather:
     """One kind of weather. Radiance is in units in which a white wall in full daylight is about 1.
 
     Attributes:
-        name: ``"day"``, ``"rain"`` or ``"night"``.
+        name: ``"day"``, ``"low sun"``, ``"rain"`` or ``"night"``.
         shutter_s: exposure time; the caller takes the end pose this much after the start pose.
         sun: direct light on a surface facing the sun.
         ambient: light from the whole sky.
@@ -65,6 +65,28 @@ _ALL = (
         sight_m=240.0,
         grain_levels=5,
         clouds=0.55,
+        lamps=0.0,
+        wetness=0.0,
+        exposure_target=0.225,
+        largest_gain=3.0,
+        shot_noise=2e-4,
+        read_noise=1e-5,
+    ),
+    # The sun 10 degrees above the horizon: its light has gone through five times as much air as from overhead, half of
+    # it is left, and more of the blue is gone (Kasten and Young 1989 for the air mass, Meinel and Meinel 1976 for what
+    # is left).
+    Weather(
+        "low sun",
+        shutter_s=0.004,
+        sun=1.5,
+        ambient=0.34,
+        colour=(1.10, 1.0, 0.86),
+        haze_per_m=0.0012,
+        haze=(0.92, 0.90, 0.88),
+        zenith=(0.34, 0.48, 0.80),
+        sight_m=240.0,
+        grain_levels=5,
+        clouds=0.45,
         lamps=0.0,
         wetness=0.0,
         exposure_target=0.225,

@@ -1,0 +1,166 @@
+"""The picture through drops on the glass: light is blended before the sensor, or into a finished picture."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from mixo_env.compiled import compiled_unchecked
+from mixo_env.simulator.picture.developed import image_of, radiance_of
+from mixo_env.simulator.picture.drops import Drops
+from mixo_env.simulator.picture.views import Float32s, Float64s, Int32s, Int64s, UInt8s
+
+_TABLE = 256  # samples of the covered share over the distance from a drop's centre
+_SHARPNESS = 32  # steps of sharp radius over pupil; 8 is the largest that is told apart
+_CELL = 8  # the surroundings that a drop shows are read from a picture so much smaller
+_VERY_SOFT_PX = 24.0  # an opening whose disc has this radius blurs blocks of 4 x 4 pixels, any other 2 x 2
+_FAINT = 4  # of 255: nobody sees less
+_FIELD = (1 << 21) - 1  # one colour of a packed radiance
+_SIDE = 5  # cells along the side of the square over which the surroundings are averaged
+
+
+class Veil(NamedTuple):
+    """What a set of drops does to a picture; as drops are soft, one value for a block of pixels.
+
+    Attributes:
+        shift: blocks are 2^shift pixels wide and high.
+        share: ``(h, w)`` of the light that passes a drop, 0..255.
+        cell: ``(h, w)`` the cell of the surroundings that is seen there.
+    """
+
+    shift: int
+    share: UInt8s
+    cell: Int32s
+
+
+def drops_veil(drops: Drops, time_s: float, height: int, width: int) -> Veil:
+    """The veil of the drops that are there at ``time_s``, for pictures of ``height`` x ``width``."""
+    there = drops.at(time_s)
+    shift = 2 if width * drops.pupil > _VERY_SOFT_PX else 1
+    shape = -(-height >> shift), -(-width >> shift)
+    veil = Veil(shift, np.zeros(shape, np.uint8), np.zeros(shape, np.int32))
+    if len(there):
+        sharp = [
+            min(max(round(_SHARPNESS * radius / drops.pupil), 1), 8 * _SHARPNESS) for radius in there[:, 2].tolist()
+        ]
+        tables = np.stack([_covered(number) for number in sharp])
+        _lay(width * there, width * drops.pupil, tables, veil, (max(height // _CELL, 1), max(width // _CELL, 1)))
+    return veil
+
+
+@lru_cache(maxsize=8 * _SHARPNESS)
+def _covered(sharpness: int) -> NDArray[np.float32]:
+    """Share of the pupil's disc P that a drop's disc R covers, over distance / (R + P) from 0 to 1.
+
+    The overlap of two circles at a distance, over the area of the second; R / P = sharpness / ``_SHARPNESS``.
+    """
+    r = sharpness / _SHARPNESS
+    d = np.linspace(0.0, r + 1.0, _TABLE)
+    inside = d <= abs(r - 1.0)
+    apart = np.where(inside, 1.0, d)
+    first = np.arccos(np.clip((apart**2 + r**2 - 1.0) / (2.0 * apart * r), -1.0, 1.0))
+    second = np.arccos(np.clip((apart**2 + 1.0 - r**2) / (2.0 * apart), -1.0, 1.0))
+    lens = r**2 * (first - 0.5 * np.sin(2.0 * first)) + second - 0.5 * np.sin(2.0 * second)
+    return np.where(inside, min(r, 1.0) ** 2, lens / np.pi).astype(np.float32)
+
+
+@compiled_unchecked
+def _lay(drops: Float64s, pupil: float, tables: Float32s, veil: Veil, cells: tuple[int, int]) -> None:
+    """Lay drops (x, y, radius in pixels), each with its table of ``_covered``, over each other into ``veil``."""
+    shift, share, cell = veil
+    rows, columns = cells
+    scale = 0.5**shift
+    height, width = share.shape
+    most = np.zeros(share.shape, np.float32)
+    for n in range(drops.shape[0]):
+        # In blocks, whose centres lie right of and below their first pixel's.
+        x, y = scale * (drops[n, 0] + 0.5) - 0.5, scale * (drops[n, 1] + 0.5) - 0.5
+        sharp = scale * drops[n, 2]
+        reach = sharp + scale * pupil
+        # Upside down: the whole height of the picture within the drop, less where the blur mixes it.
+        turned = -0.5 * rows / reach * (sharp / reach)
+        u0, v0 = min(max(x / width, 0.25), 0.75) * columns, min(max(y / height, 0.35), 0.65) * rows
+        for row in range(max(0, int(np.ceil(y - reach))), min(height, int(y + reach) + 1)):
+            half = np.sqrt(max(reach * reach - (row - y) ** 2, 0.0))
+            v = min(max(int(v0 + turned * (row - y)), 0), rows - 1)
+            for column in range(max(0, int(np.ceil(x - half))), min(width, int(x + half) + 1)):
+                far = np.sqrt((column - x) ** 2 + (row - y) ** 2) / reach
+                covered = tables[n, min(int(far * (_TABLE - 1) + 0.5), _TABLE - 1)]
+                if covered > most[row, column]:  # the cell of the drop that covers most
+                    most[row, column] = covered
+                    u = min(max(int(u0 + turned * (column - x)), 0), columns - 1)
+                    cell[row, column] = v * columns + u
+                free = (255.0 - share[row, column]) * (1.0 - covered)
+                share[row, column] = np.uint8(255.5 - free)
+
+
+@compiled_unchecked
+def _surroundings(radiance: Int64s) -> Int64s:
+    """The picture in cells of ``_CELL`` pixels, packed and averaged over ``_SIDE`` x ``_SIDE`` of them."""
+    height, width = radiance.shape
+    rows, columns = max(height // _CELL, 1), max(width // _CELL, 1)
+    small, lines, out = (
+        np.empty((rows, columns), np.int64),
+        np.zeros((rows, columns), np.int64),
+        np.empty(rows * columns, np.int64),
+    )
+    first, second = _CELL // 4, 3 * _CELL // 4
+    for i in range(rows):
+        up, low = radiance[min(i * _CELL + first, height - 1)], radiance[min(i * _CELL + second, height - 1)]
+        for j in range(columns):
+            # The mean of two fields is taken before the sum, so that no field overflows.
+            a, b = min(j * _CELL + first, width - 1), min(j * _CELL + second, width - 1)
+            total = up[a] + up[b] + low[a] + low[b]
+            small[i, j] = (total & _FIELD) >> 2 | (total >> 21 & _FIELD) >> 2 << 21 | (total >> 42) >> 2 << 42
+    half = _SIDE // 2
+    for i in range(rows):
+        for j in range(columns):
+            for k in range(-half, half + 1):
+                lines[i, j] += small[i, min(max(j + k, 0), columns - 1)]
+    share = _SIDE * _SIDE
+    for i in range(rows):
+        for j in range(columns):
+            red = green = blue = 0
+            for k in range(-half, half + 1):
+                word = lines[min(max(i + k, 0), rows - 1), j]
+                red, green, blue = red + (word & _FIELD), green + (word >> 21 & _FIELD), blue + (word >> 42)
+            out[i * columns + j] = red // share | green // share << 21 | blue // share << 42
+    return out
+
+
+@compiled_unchecked
+def see_through(radiance: Int64s, veil: Veil) -> None:
+    """Blend what drops show into ``(h, w)`` packed radiance, in place."""
+    shift, share, cell = veil
+    around = _surroundings(radiance)
+    height, width = radiance.shape
+    side = 1 << shift
+    for y in range(height):
+        row, shares, cells = radiance[y], share[y >> shift], cell[y >> shift]
+        for block in range(shares.shape[0]):
+            part = np.int64(shares[block])
+            if part < _FAINT:
+                continue
+            keep, word = 256 - part, around[cells[block]]
+            red, green, blue = part * (word & _FIELD), part * (word >> 21 & _FIELD), part * (word >> 42)
+            for x in range(block * side, min(block * side + side, width)):
+                old = row[x]
+                r = ((old & _FIELD) * keep + red) >> 8
+                g = ((old >> 21 & _FIELD) * keep + green) >> 8
+                row[x] = r | g << 21 | ((old >> 42) * keep + blue) >> 8 << 42
+
+
+def add_drops(image: NDArray[np.uint8], drops: Drops, time_s: float) -> NDArray[np.uint8]:
+    """A finished picture ``(h, w, 3)`` as it would have been seen through the drops of one instant.
+
+    Args:
+        image: bytes, square roots of light (gamma 2); left as it is.
+        drops: of ``drops_on``.
+        time_s: instant, in the scene's time.
+    """
+    radiance = radiance_of(image)
+    see_through(radiance, drops_veil(drops, time_s, *image.shape[:2]))
+    return image_of(radiance)
