@@ -10,6 +10,12 @@ works without data and results on it are worth something. It is simulated: claim
 recordings.
 """
 
+OLDER = """
+**The simulator has gone on since.** `{data}` was rendered before there were people, drops on the lens, a low sun,
+underpasses, bends, hills and roundabouts, and its drives were dealt from 135 real trajectories. Figures and pictures
+below are of `{data}`, words are of the present simulator; `make mixocity` makes `{present}`, 344 scenes of it.
+"""
+
 HOW_MADE = """## How it was made
 
 `make mixocity` does everything, resumable; stage by stage it is `python -m experiments.mixocity`. In short:
@@ -32,8 +38,7 @@ failures nor shares of locally best cameras nor the order of methods were looked
 
 EFFECTS = """### Lens, light and people
 
-Each follows a description that others have measured; none was set by what it does to an odometry. Recordings up to
-`mixocity-0.6` were rendered before and have none of it.
+Each follows a description that others have measured; none was set by what it does to an odometry.
 
 * **People** walk at 1.3 ± 0.2 m/s (Bohannon and Andrews 2011) on pavements and over crossings, where they wait until no
   vehicle comes; one in five stands. Limbs have the proportions of Drillis and Contini (1966) and swing as in level
