@@ -34,7 +34,6 @@ class Policy(abc.ABC):
         learns: whether it is fitted on training scenes, anew for every fold. :meth:`fit` of others is never called.
         any_experts: what it learned names no expert, so it plays with others than those it was fitted with.
         lag: steps of the future that it sees; where it is not 0 the policy is privileged, and its name says so.
-        sees: of an agent trained in the environment, which of its observations it is shown; "" for all others.
         only_track: too slow for all tracks: it has a row in this one alone; "": in all.
         expensive: too slow to fit for every fold; it is then tested on the last one only, and compared there.
         experts: those it weights, in the order of the weights; set by :meth:`start` or :meth:`load`.
@@ -49,9 +48,13 @@ class Policy(abc.ABC):
     lag: ClassVar[int] = 0
     only_track: ClassVar[str] = ""
     expensive: ClassVar[bool] = False
-    sees: str = ""
     experts: tuple[str, ...] = ()
     fitted_on: frozenset[str] = frozenset()
+
+    @property
+    def sees(self) -> str:
+        """Of an agent trained in the environment, which of its observations it is shown; "" for all others."""
+        return ""
 
     def weighted(self, voters: tuple[str, ...]) -> tuple[str, ...]:
         """The experts this policy weights where ``voters`` vote, in order: just these, unless it adds a reference."""

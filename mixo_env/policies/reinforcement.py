@@ -97,7 +97,11 @@ class Reinforced(Policy):
             changes[name] = getattr(usual, name) | changes.get(name, {})
         changes["hidden"] = tuple(changes.get("hidden", usual.hidden))
         self.recipe = replace(usual, **changes)
-        self.sees = self.recipe.observation
+
+    @property
+    def sees(self) -> str:
+        """The environment's observation that it is shown."""
+        return self.recipe.observation
 
     @property
     def weights(self) -> Weighting:
