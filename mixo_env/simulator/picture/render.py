@@ -166,9 +166,10 @@ class Renderer:
         # What is seen, in which light and how it moves.
         fx, fy, cx, cy = calibration.intrinsic.take((0, 4, 2, 5)).tolist()
         view = View(rotation, position, fx, fy, cx, cy, float(weather.sight_m))
-        seen, radiance = memory.buffers.seen, memory.canvas.radiance
+        radiance = memory.canvas.radiance
         placed = self._fleet.placed(models, states, (view, radiance.shape))
         memory.buffers.draw_patches((placed, world.static), view, self._textures)
+        seen = memory.buffers.seen  # only now: drawing makes room for more patches
         lamps = self._lamps(calibration, position, near)
         shade(Shot(seen, view, self._light, self._textures, self._daylight, lamps, motion), memory.canvas)
         # Rain, and what lens and glass do.
