@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
@@ -45,15 +45,18 @@ def drops_veil(drops: Drops, time_s: float, height: int, width: int) -> Veil:
     shape = -(-height >> shift), -(-width >> shift)
     veil = Veil(shift, np.zeros(shape, np.uint8), np.zeros(shape, np.int32))
     if len(there):
-        sharp = [
-            min(max(round(_SHARPNESS * radius / drops.pupil), 1), 8 * _SHARPNESS) for radius in there[:, 2].tolist()
-        ]
-        tables = np.stack([_covered(number) for number in sharp])
-        _lay(width * there, width * drops.pupil, tables, veil, (max(height // _CELL, 1), max(width // _CELL, 1)))
+        sharp = np.clip(np.rint(_SHARPNESS / drops.pupil * there[:, 2]), 1, 8 * _SHARPNESS).astype(np.int64)
+        cells = max(height // _CELL, 1), max(width // _CELL, 1)
+        _lay(width * there, width * drops.pupil, sharp, _all_covered(), veil, cells)
     return veil
 
 
-@lru_cache(maxsize=8 * _SHARPNESS)
+@cache
+def _all_covered() -> NDArray[np.float32]:
+    """``_covered`` of every sharpness, ``(sharpnesses + 1, _TABLE)``; the first row is not used."""
+    return np.stack([_covered(max(number, 1)) for number in range(8 * _SHARPNESS + 1)])
+
+
 def _covered(sharpness: int) -> NDArray[np.float32]:
     """Share of the pupil's disc P that a drop's disc R covers, over distance / (R + P) from 0 to 1.
 
@@ -70,8 +73,10 @@ def _covered(sharpness: int) -> NDArray[np.float32]:
 
 
 @compiled_unchecked
-def _lay(drops: Float64s, pupil: float, tables: Float32s, veil: Veil, cells: tuple[int, int]) -> None:
-    """Lay drops (x, y, radius in pixels), each with its table of ``_covered``, over each other into ``veil``."""
+def _lay(
+    drops: Float64s, pupil: float, sharpness: Int64s, tables: Float32s, veil: Veil, cells: tuple[int, int]
+) -> None:
+    """Lay drops (x, y, radius in pixels), whose ``_covered`` are in ``tables``, over each other into ``veil``."""
     shift, share, cell = veil
     rows, columns = cells
     scale = 0.5**shift
@@ -93,7 +98,7 @@ def _lay(drops: Float64s, pupil: float, tables: Float32s, veil: Veil, cells: tup
             _places(float32(begin - x), float32((row - y) ** 2), float32((_TABLE - 1) / reach), place[begin:end])
             v = min(max(int(v0 + turned * (row - y)), 0), rows - 1)
             for column in range(begin, end):
-                covered = tables[n, np.uintp(place[column])]
+                covered = tables[sharpness[n], np.uintp(place[column])]
                 if covered > most[row, column]:  # the cell of the drop that covers most
                     most[row, column] = covered
                     u = min(max(int(u0 + turned * (column - x)), 0), columns - 1)

@@ -1,7 +1,7 @@
 """Radiance and image motion of every pixel from the patches that the rasteriser found.
 
 Pixels are shaded in short spans that show the same patch. Perspective is exact at both ends of a span and linear
-within; a span is cut so short that this misplaces the texture by less than 0.15 pixels. The reduction of the texture,
+within; a span is cut so short that this misplaces the texture by less than 0.2 pixels. The reduction of the texture,
 haze and lamp light are chosen once per span.
 """
 
