@@ -114,6 +114,7 @@ class Renderer:
             quads(world.sky).ravel(),
             float(world.ground_texels_per_m),
             self.weather.grain_levels,
+            self.weather.most_taps,
         )
         self._no_lamps = Lamps(np.zeros((1, 1), np.float32), np.zeros(2), np.zeros(3), np.zeros(8))
         self._light = _light(self.weather)

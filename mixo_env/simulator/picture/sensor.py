@@ -40,7 +40,7 @@ class Sensor(NamedTuple):
     Attributes:
         vignette: ``(h, w)`` share of light that reaches the pixel.
         noise: ``(NOISE_SIDE, n)`` normal numbers in steps of ``NOISE_UNIT``, n >= 3 w + NOISE_SIDE.
-        shot: noise variance per exposed radiance.
+        shot: noise variance per exposed radiance of green.
         read: noise variance in the dark.
     """
 
@@ -256,12 +256,24 @@ def _begin_row(radiance: Int64s, vignette: Float32s, gain: np.float32, words: In
 
 
 @inlined
-def _encode(values: Float32s, grain: Int8s, noise: tuple[np.float32, np.float32], coded: UInt8s) -> None:
-    """Exposed radiance as bytes: with noise, whose variance per radiance and in the dark is given, and gamma."""
-    shot, read = noise
+def _field(words: Int64s, scales: Float32s, shift: int, out: Float32s) -> None:
+    """Exposed radiance of one colour of a row."""
+    for x in range(out.shape[0]):
+        out[x] = scales[x] * float32(np.int32((words[x] >> shift) & _FIELD))
+
+
+@inlined
+def _deviation(values: Float32s, shot: np.float32, read: np.float32, out: Float32s) -> None:
+    """Standard deviation of the noise, stronger where there is more light."""
+    for x in range(out.shape[0]):
+        out[x] = np.sqrt(shot * values[x] + read)
+
+
+@inlined
+def _encode(values: Float32s, grain: Int8s, deviation: Float32s, coded: UInt8s) -> None:
+    """Exposed radiance with noise as bytes."""
     for x in range(values.shape[0]):
-        value = values[x]
-        value = max(value + np.sqrt(shot * value + read) * float32(grain[x]), float32(0.0))
+        value = max(values[x] + deviation[x] * float32(grain[x]), float32(0.0))
         # Highlights bend towards white; the root is the gamma of the encoding.
         value = value * (float32(1.0) + value * _RISE) / (float32(1.0) + value * _BEND)
         coded[x] = np.uint8(np.int32(min(float32(255.0) * np.sqrt(value) + float32(0.5), float32(255.0))))
@@ -281,22 +293,22 @@ def expose(radiance: Int64s, flow: Float32s, offset: Int64s, gain: float, sensor
     """
     height, width = radiance.shape
     words, scales, line = np.empty(width, np.int64), np.empty(width, np.float32), np.empty((3, width), np.uint8)
-    values, motion = np.empty(width, np.float32), np.empty((2, width), np.int32)
+    values, deviation = np.empty(width, np.float32), np.empty(width, np.float32)
+    motion = np.empty((2, width), np.int32)
     flat = radiance.reshape(height * width)
     light = float32(gain)
-    noise = float32(sensor.shot * NOISE_UNIT**2), float32(sensor.read * NOISE_UNIT**2)
+    shot, read = float32(sensor.shot * NOISE_UNIT**2), float32(sensor.read * NOISE_UNIT**2)
     for y in range(height):
         # Light that falls on the row while the shutter is open.
         _begin_row(radiance[y], sensor.vignette[y], light, words, scales)
         _smear(flat, radiance.shape, flow, y, words, scales, motion)
+        # One deviation for all colours, that of green, by which the eye and a grey picture judge most of the light.
+        _field(words, scales, 21, values)
+        _deviation(values, shot, read, deviation)
         for channel in range(3):  # short loops without branches, so that each runs in SIMD
-            shift, first = 21 * channel, offset[y, 1] + channel * width
-            grain, coded = sensor.noise[offset[y, 0], first : first + width], line[channel]
-            # Exposed radiance.
-            for x in range(width):
-                values[x] = scales[x] * float32(np.int32((words[x] >> shift) & _FIELD))
-            # Noise, stronger where there is more light.
-            _encode(values, grain, noise, coded)
+            first = offset[y, 1] + channel * width
+            _field(words, scales, 21 * channel, values)
+            _encode(values, sensor.noise[offset[y, 0], first : first + width], deviation, line[channel])
         # Three rows of one colour become a row of pixels.
         target, red, green, blue = out[y].reshape(3 * width), line[0], line[1], line[2]
         for x in range(width):

@@ -106,6 +106,7 @@ class Textures(NamedTuple):
         sky: clouds, ``quads``.
         ground_texels_per_m: scale of the ground texture.
         grain_levels: reductions of the fine grain that are drawn.
+        most_taps: samples along the long axis of a pixel's footprint on a slanted surface.
     """
 
     texels: UInt32s
@@ -115,6 +116,7 @@ class Textures(NamedTuple):
     sky: UInt32s
     ground_texels_per_m: float
     grain_levels: int
+    most_taps: int
 
 
 class Daylight(NamedTuple):
