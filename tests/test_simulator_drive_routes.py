@@ -73,7 +73,7 @@ def test_routes_stay_in_their_lane_inside_the_city():
     for route in routes():
         assert max(np.abs(route.u_m).max(), np.abs(route.v_m).max()) < limit + 1.0
         straight = np.ones(len(route.s_m), dtype=bool)
-        for first, last in route.turns_m:
+        for first, last in (*route.turns_m, *route.rounds_m):
             straight &= (route.s_m < first) | (route.s_m > last)
         x, y, course = route.u_m[straight], route.v_m[straight], grid_course(route)[straight]
         eastwest = np.abs(np.cos(course)) > 0.9

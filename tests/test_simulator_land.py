@@ -272,6 +272,7 @@ def test_pictures_of_the_ground_agree_with_traced_rays(world, channel):
         np.zeros(4, np.uint32),
         world.ground_texels_per_m,
         5,
+        3,
     )
     buffers.draw_patches((world.static,), view, textures)
     seen = buffers.seen

@@ -30,6 +30,7 @@ FLAT = Weather(
     zenith=(0.0, 0.0, 0.0),
     sight_m=240.0,
     grain_levels=5,
+    most_taps=3,
     clouds=0.0,
     lamps=0.0,
     wetness=0.0,

@@ -13,6 +13,7 @@ from mixo_env.simulator.city import furniture, laying
 from mixo_env.simulator.city.land import FLAT, Land
 from mixo_env.simulator.city.materials import KERB_M, Materials
 from mixo_env.simulator.city.mesh import SHADE, Mesh, joined, mesh_of, placed, quad
+from mixo_env.simulator.city.roundabout import Crossing
 from mixo_env.simulator.city.shadows import Shadows
 from mixo_env.simulator.city.streets import BLOCK_M, HALF_ROAD_M, PARKING_M, SIDEWALK_M
 from mixo_env.simulator.city.vehicles import COLOURS, VEHICLE_KINDS
@@ -146,6 +147,8 @@ def build_side(city: City, column: int, row: int, side: int, rng: np.random.Gene
     frame = _frame(column, row, side)
     _plots(city, frame, side, rng, plan)
     _pavement_furniture(city, frame, rng, plan)
+    if _corner(column, row, side) not in city.land.roundabouts:
+        _signals(city, frame)
     _parked_cars(city, frame, rng, plan)
 
 
@@ -216,10 +219,18 @@ def _pavement_furniture(city: City, frame: _Frame, rng: np.random.Generator, pla
             city.groups.append(frame.stand(furniture.street_box(materials, rng), city.land, position, y))
             city.shadows.prism(frame.rectangle((position - 0.4, position + 0.4), (y - 0.4, y + 0.4)), 1.2)
         position += float(rng.uniform(3.5, 9.0))
-    for x in (_KERB_Y + 0.5, FRONT_M - _KERB_Y - 0.5):  # near the two crossings
-        if x < 0:
-            city.groups.append(frame.stand(city.traffic_light, city.land, x, _KERB_Y + 0.5))
-            city.shadows.prism(frame.rectangle((x - 0.1, x + 0.1), (_KERB_Y + 0.4, _KERB_Y + 0.6)), 3.6)
+
+
+def _signals(city: City, frame: _Frame) -> None:
+    """The traffic light at the crossing where the side begins."""
+    x = _KERB_Y + 0.5
+    city.groups.append(frame.stand(city.traffic_light, city.land, x, _KERB_Y + 0.5))
+    city.shadows.prism(frame.rectangle((x - 0.1, x + 0.1), (_KERB_Y + 0.4, _KERB_Y + 0.6)), 3.6)
+
+
+def _corner(column: int, row: int, side: int) -> Crossing:
+    """The crossing where a side of a block begins."""
+    return column + (side in (1, 2)), row + (side in (2, 3))
 
 
 def _parked_cars(city: City, frame: _Frame, rng: np.random.Generator, plan: SidePlan) -> None:

@@ -1,4 +1,4 @@
-"""The shape of the land: bent streets and hills.
+"""The shape of the land: bent streets and hills, and which crossings are roundabouts.
 
 Streets, houses and routes are planned on a flat grid of straight streets. The land carries a point (u, v) of the grid
 to the map:
@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixo_env.compiled import compiled_unchecked, inlined
+from mixo_env.simulator.city.roundabout import Crossing, roundabouts_of
 from mixo_env.simulator.city.streets import BLOCK_M, HALF_CITY_BLOCKS
 
 FloatArray = NDArray[np.float64]
@@ -122,12 +123,14 @@ class Land:
     Attributes:
         aside_x, aside_y: a and b.
         height_u, height_v: p and q.
+        roundabouts: crossings with an island.
     """
 
     aside_x: Profile
     aside_y: Profile
     height_u: Profile
     height_v: Profile
+    roundabouts: frozenset[Crossing] = frozenset()
 
     def map(self, u: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray]:
         """x, y on the map of points of the grid."""
@@ -169,7 +172,7 @@ class Land:
 _NONE = Profile(np.zeros((0, 3)), np.zeros(0))
 
 FLAT = Land(_NONE, _NONE, _NONE, _NONE)
-"""Straight streets on a plane: grid and map are the same."""
+"""Straight streets on a plane without roundabouts: grid and map are the same."""
 
 
 def land_of(seed: int) -> Land:
@@ -185,7 +188,7 @@ def land_of(seed: int) -> Land:
         Profile(_waves(rng, [0.7 * part * steep, 0.3 * part * steep], _HILL_M), np.zeros(0))
         for part in (np.cos(split), np.sin(split))
     ]
-    return Land(bends[0], bends[1], hills[0], hills[1])
+    return Land(bends[0], bends[1], hills[0], hills[1], roundabouts_of(seed))
 
 
 def _waves(rng: np.random.Generator, slopes: list[float], wavelength_m: tuple[float, float]) -> FloatArray:

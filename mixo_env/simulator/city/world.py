@@ -13,8 +13,9 @@ from mixo_env.errors import ConfigurationError
 from mixo_env.simulator.city.blocks import SIDES, City, SidePlan, build_pavement, build_side
 from mixo_env.simulator.city.furniture import LAMP_M, street_lamp, traffic_light, tree
 from mixo_env.simulator.city.ground import GROUND_PERIOD_M, ground_texture
+from mixo_env.simulator.city.island import HEDGE_M, HEDGE_TOP_M, island, outline
 from mixo_env.simulator.city.land import FLAT, Land
-from mixo_env.simulator.city.laying import ground_aligned, laid
+from mixo_env.simulator.city.laying import ground_aligned, laid, parked
 from mixo_env.simulator.city.materials import city_materials
 from mixo_env.simulator.city.mesh import Mesh, PatchSet, mesh_of, packed, quad
 from mixo_env.simulator.city.people_models import people_models
@@ -163,6 +164,7 @@ def build_world(seed: int, plan: CityPlan = _USUAL) -> World:
     shadows = Shadows(sun, plan.land)
     city = City(plan.land, materials, trees, lamp, signals, vehicles, shadows, plan.blank_walls, plan.parked)
     city.groups += _ground(city, ground_per_m, plan.half_blocks)
+    _islands(city, plan.half_blocks)
     bridges = _bridges(city, seed, plan)
     _blocks(city, seed, plan, bridges)
 
@@ -197,6 +199,16 @@ def _sun(rng: np.random.Generator, low: bool) -> NDArray[np.float64]:
         elevation = rng.uniform(7.0, 16.0)
     elevation = np.deg2rad(elevation)
     return np.array([np.cos(azimuth) * np.cos(elevation), np.sin(azimuth) * np.cos(elevation), np.sin(elevation)])
+
+
+def _islands(city: City, half_blocks: int) -> None:
+    """The islands of the roundabouts."""
+    mesh = island(city.materials)
+    for crossing in sorted(city.land.roundabouts):
+        if max(map(abs, crossing)) <= half_blocks:
+            u, v = (BLOCK_M * number for number in crossing)
+            city.groups.append(parked(mesh, city.land, u, v, 0.0))
+            city.shadows.prism(outline(HEDGE_M) + np.array((u, v)), HEDGE_TOP_M)
 
 
 def _bridges(city: City, seed: int, plan: CityPlan) -> dict[tuple[int, int, int], Underpass]:

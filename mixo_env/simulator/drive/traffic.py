@@ -8,13 +8,14 @@ streets. A candidate that would come too close to the car or to an earlier vehic
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mixo_env.simulator.city.land import Land
+from mixo_env.simulator.city.roundabout import CALM_MPS, Crossing, swerve
 from mixo_env.simulator.city.streets import BLOCK_M, HALF_CITY_BLOCKS, LANE_M
 from mixo_env.simulator.city.vehicles import COLOURS, VEHICLE_KINDS, VehicleState
 from mixo_env.simulator.drive.drive import Drive
@@ -83,7 +84,11 @@ class Lane:
         """The other lane of the street."""
         return Lane(self.axis, self.street, -self.direction)
 
-    def at(self, along_m: FloatArray, aside_m: float = LANE_M) -> tuple[FloatArray, FloatArray, float]:
+    def crossing(self, number: int) -> Crossing:
+        """The crossing with street ``number`` of the other axis."""
+        return (number, self.street) if self.axis == 0 else (self.street, number)
+
+    def at(self, along_m: FloatArray, aside_m: float | FloatArray = LANE_M) -> tuple[FloatArray, FloatArray, float]:
         """u, v and heading, on the grid, of points at ``along_m``, ``aside_m`` right of the street's centre line."""
         # Right-hand traffic: eastbound lanes lie south of the centre line, northbound ones east of it.
         aside = self.street * BLOCK_M + (aside_m if self.axis else -aside_m) * self.direction
@@ -220,6 +225,10 @@ def _flow(
     """Vehicles of one lane, all in the same rhythm; bumper-to-bumper distances lie in ``pause_m``."""
     drive, land = place
     path_m = drive.route.on_grid(drive.at("s_m", time_s))[lane.axis]
+    numbers = range(-HALF_CITY_BLOCKS, HALF_CITY_BLOCKS + 1)
+    islands_m = [number * BLOCK_M for number in numbers if lane.crossing(number) in land.roundabouts]
+    if any(path_m.min() - _SIGHT_M < island_m < path_m.max() + _SIGHT_M for island_m in islands_m):
+        speed_mps = min(speed_mps, CALM_MPS)
     # Speed swings by up to 15 %, the same for the whole lane, so that nobody catches up.
     omega = 2.0 * np.pi / rng.uniform(9.0, 18.0)
     moved_m = speed_mps * (time_s + 0.15 / omega * np.sin(omega * time_s + rng.uniform(0.0, 2.0 * np.pi)))
@@ -230,12 +239,24 @@ def _flow(
         kind, colour = _kind(rng), _colour(rng)
         length_m = VEHICLE_KINDS[kind].length_m
         along_m += 0.5 * length_m
-        u, v, heading = lane.at(along_m + lane.direction * moved_m)
+        way_m = along_m + lane.direction * moved_m
+        aside_m, turned_rad = _around_islands(lane.direction * way_m, [lane.direction * at_m for at_m in islands_m])
+        u, v, heading = lane.at(way_m, aside_m)
         along_m += 0.5 * length_m + rng.uniform(*pause_m)
         edge_m = (HALF_CITY_BLOCKS + 0.5) * BLOCK_M
         if max(np.abs(u).max(), np.abs(v).max()) < edge_m:
-            yaw = land.heading(u, v, np.full_like(time_s, heading))
+            yaw = land.heading(u, v, heading + turned_rad)
             yield Vehicle(kind, colour, time_s, *land.map(u, v), yaw)
+
+
+def _around_islands(ahead_m: FloatArray, islands_m: Sequence[float]) -> tuple[FloatArray, FloatArray]:
+    """Distance right of the centre line and course against it of who follows a lane, at ``ahead_m`` along it."""
+    aside_m, turned_rad = np.full_like(ahead_m, LANE_M), np.zeros_like(ahead_m)
+    for island_m in islands_m:
+        right_m, slope = swerve(ahead_m - island_m)
+        aside_m += right_m
+        turned_rad -= np.arctan(slope)
+    return aside_m, turned_rad
 
 
 def lanes_of(drive: Drive, time_s: FloatArray) -> tuple[list[Lane], list[Lane]]:

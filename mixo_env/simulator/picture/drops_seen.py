@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
+from numba import float32, int32
 from numpy.typing import NDArray
 
-from mixo_env.compiled import compiled_unchecked
+from mixo_env.compiled import compiled_unchecked, inlined
 from mixo_env.simulator.picture.developed import image_of, radiance_of
 from mixo_env.simulator.picture.drops import Drops
+from mixo_env.simulator.picture.mirror import mixed
 from mixo_env.simulator.picture.views import Float32s, Float64s, Int32s, Int64s, UInt8s
 
 _TABLE = 256  # samples of the covered share over the distance from a drop's centre
@@ -43,15 +45,18 @@ def drops_veil(drops: Drops, time_s: float, height: int, width: int) -> Veil:
     shape = -(-height >> shift), -(-width >> shift)
     veil = Veil(shift, np.zeros(shape, np.uint8), np.zeros(shape, np.int32))
     if len(there):
-        sharp = [
-            min(max(round(_SHARPNESS * radius / drops.pupil), 1), 8 * _SHARPNESS) for radius in there[:, 2].tolist()
-        ]
-        tables = np.stack([_covered(number) for number in sharp])
-        _lay(width * there, width * drops.pupil, tables, veil, (max(height // _CELL, 1), max(width // _CELL, 1)))
+        sharp = np.clip(np.rint(_SHARPNESS / drops.pupil * there[:, 2]), 1, 8 * _SHARPNESS).astype(np.int64)
+        cells = max(height // _CELL, 1), max(width // _CELL, 1)
+        _lay(width * there, width * drops.pupil, sharp, _all_covered(), veil, cells)
     return veil
 
 
-@lru_cache(maxsize=8 * _SHARPNESS)
+@cache
+def _all_covered() -> NDArray[np.float32]:
+    """``_covered`` of every sharpness, ``(sharpnesses + 1, _TABLE)``; the first row is not used."""
+    return np.stack([_covered(max(number, 1)) for number in range(8 * _SHARPNESS + 1)])
+
+
 def _covered(sharpness: int) -> NDArray[np.float32]:
     """Share of the pupil's disc P that a drop's disc R covers, over distance / (R + P) from 0 to 1.
 
@@ -68,13 +73,15 @@ def _covered(sharpness: int) -> NDArray[np.float32]:
 
 
 @compiled_unchecked
-def _lay(drops: Float64s, pupil: float, tables: Float32s, veil: Veil, cells: tuple[int, int]) -> None:
-    """Lay drops (x, y, radius in pixels), each with its table of ``_covered``, over each other into ``veil``."""
+def _lay(
+    drops: Float64s, pupil: float, sharpness: Int64s, tables: Float32s, veil: Veil, cells: tuple[int, int]
+) -> None:
+    """Lay drops (x, y, radius in pixels), whose ``_covered`` are in ``tables``, over each other into ``veil``."""
     shift, share, cell = veil
     rows, columns = cells
     scale = 0.5**shift
     height, width = share.shape
-    most = np.zeros(share.shape, np.float32)
+    most, place = np.zeros(share.shape, np.float32), np.empty(width, np.int32)
     for n in range(drops.shape[0]):
         # In blocks, whose centres lie right of and below their first pixel's.
         x, y = scale * (drops[n, 0] + 0.5) - 0.5, scale * (drops[n, 1] + 0.5) - 0.5
@@ -85,16 +92,31 @@ def _lay(drops: Float64s, pupil: float, tables: Float32s, veil: Veil, cells: tup
         u0, v0 = min(max(x / width, 0.25), 0.75) * columns, min(max(y / height, 0.35), 0.65) * rows
         for row in range(max(0, int(np.ceil(y - reach))), min(height, int(y + reach) + 1)):
             half = np.sqrt(max(reach * reach - (row - y) ** 2, 0.0))
+            begin, end = max(0, int(np.ceil(x - half))), min(width, int(x + half) + 1)
+            if begin >= end:
+                continue
+            _places(float32(begin - x), float32((row - y) ** 2), float32((_TABLE - 1) / reach), place[begin:end])
             v = min(max(int(v0 + turned * (row - y)), 0), rows - 1)
-            for column in range(max(0, int(np.ceil(x - half))), min(width, int(x + half) + 1)):
-                far = np.sqrt((column - x) ** 2 + (row - y) ** 2) / reach
-                covered = tables[n, min(int(far * (_TABLE - 1) + 0.5), _TABLE - 1)]
+            for column in range(begin, end):
+                covered = tables[sharpness[n], np.uintp(place[column])]
                 if covered > most[row, column]:  # the cell of the drop that covers most
                     most[row, column] = covered
                     u = min(max(int(u0 + turned * (column - x)), 0), columns - 1)
                     cell[row, column] = v * columns + u
-                free = (255.0 - share[row, column]) * (1.0 - covered)
-                share[row, column] = np.uint8(255.5 - free)
+                free = (float32(255.0) - float32(share[row, column])) * (float32(1.0) - covered)
+                share[row, column] = np.uint8(np.int32(float32(255.5) - free))
+
+
+@inlined
+def _places(aside: np.float32, over: np.float32, per_block: np.float32, out: Int32s) -> None:
+    """Places in a table of ``_covered`` along a row of blocks, the first ``aside`` from the drop's centre.
+
+    ``over`` is the square of the row's distance from it, ``per_block`` how many places a block is.
+    """
+    for i in range(out.shape[0]):
+        far = aside + float32(i)
+        place = np.int32(np.sqrt(far * far + over) * per_block + float32(0.5))
+        out[i] = min(place, int32(_TABLE - 1))
 
 
 @compiled_unchecked
@@ -137,20 +159,38 @@ def see_through(radiance: Int64s, veil: Veil) -> None:
     shift, share, cell = veil
     around = _surroundings(radiance)
     height, width = radiance.shape
-    side = 1 << shift
-    for y in range(height):
-        row, shares, cells = radiance[y], share[y >> shift], cell[y >> shift]
-        for block in range(shares.shape[0]):
-            part = np.int64(shares[block])
-            if part < _FAINT:
+    blocks = share.shape[1]
+    shown, parts = np.empty(blocks << shift, np.int64), np.empty(blocks << shift, np.int64)
+    for line in range(share.shape[0]):
+        shares, block = share[line], 0
+        while block < blocks:
+            if shares[block] < _FAINT:
+                block += 1
                 continue
-            keep, word = 256 - part, around[cells[block]]
-            red, green, blue = part * (word & _FIELD), part * (word >> 21 & _FIELD), part * (word >> 42)
-            for x in range(block * side, min(block * side + side, width)):
-                old = row[x]
-                r = ((old & _FIELD) * keep + red) >> 8
-                g = ((old >> 21 & _FIELD) * keep + green) >> 8
-                row[x] = r | g << 21 | ((old >> 42) * keep + blue) >> 8 << 42
+            # Blocks in a row that show something, then all their pixels.
+            begin = block
+            while block < blocks and shares[block] >= _FAINT:
+                block += 1
+            _widen(around, cell[line, begin:block], shares[begin:block], shift, shown, parts)
+            left, right = begin << shift, min(block << shift, width)
+            for row in range(line << shift, min((line + 1) << shift, height)):
+                _blend(shown[: right - left], parts[: right - left], radiance[row, left:right])
+
+
+@inlined
+def _widen(around: Int64s, cell: Int32s, share: UInt8s, shift: int, shown: Int64s, parts: Int64s) -> None:
+    """What each pixel along a run of blocks shows, and how much of it."""
+    for i in range(cell.shape[0]):
+        word, part = around[np.uintp(cell[i])], np.int64(share[i])
+        for at in range(i << shift, (i + 1) << shift):
+            shown[at], parts[at] = word, part
+
+
+@inlined
+def _blend(shown: Int64s, parts: Int64s, out: Int64s) -> None:
+    """Mix what drops show into a run of pixels."""
+    for i in range(out.shape[0]):
+        out[i] = mixed(out[i], shown[i], parts[i] & 255)
 
 
 def add_drops(image: NDArray[np.uint8], drops: Drops, time_s: float) -> NDArray[np.uint8]:

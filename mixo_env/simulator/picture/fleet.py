@@ -12,13 +12,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mixo_env.compiled import compiled_unchecked
+from mixo_env.compiled import compiled_unchecked, inlined
 from mixo_env.simulator.city.land import FLAT, Land
 from mixo_env.simulator.city.mesh import CUT_OUT, SHADE, TWO_SIDED, PatchSet, packed
 from mixo_env.simulator.city.people import PEOPLE_KINDS, PHASES, PersonState
 from mixo_env.simulator.city.underpass import light_at
 from mixo_env.simulator.city.vehicles import VEHICLE_KINDS, VehicleState
 from mixo_env.simulator.city.world import World
+from mixo_env.simulator.picture.culling import spheres_in_view
 from mixo_env.simulator.picture.views import (
     BODY,
     FACING,
@@ -27,8 +28,10 @@ from mixo_env.simulator.picture.views import (
     NORMAL_Y,
     NORMAL_Z,
     SIDES,
+    Bools,
     Float64s,
     Int64s,
+    View,
 )
 
 X, Y, YAW, SPEED, YAW_RATE, HEIGHT, RISE_X, RISE_Y, GRID_U, GRID_V, DX_DV, DY_DU, SKYLIGHT = range(13)
@@ -78,30 +81,45 @@ class Models(NamedTuple):
     shadows: bool
 
 
+@inlined
+def _pose(state: Float64s) -> Pose:
+    """A row of ``moving_states``."""
+    return Pose(
+        state[X], state[Y], state[HEIGHT], np.cos(state[YAW]), np.sin(state[YAW]), state[RISE_X], state[RISE_Y],
+        state[GRID_U], state[GRID_V], state[DX_DV], state[DY_DU],
+    )  # fmt: skip
+
+
 @compiled_unchecked
-def _place(states: Float64s, numbers: Int64s, models: Models, out: PatchSet) -> None:
-    """Copy the models ``numbers`` to their ``states``; see :class:`Fleet`."""
+def _bounds(states: Float64s, numbers: Int64s, models: Models) -> Float64s:
+    """Bounding spheres of the models ``numbers`` in their ``states``, with their sun shadows: ``(n, 4)``."""
+    spheres, out = models.patches.groups, np.empty((len(states), 4))
+    for n in range(len(states)):
+        pose, m = _pose(states[n]), numbers[n]
+        out[n, 0] = pose.x + pose.c * spheres[m, 0] - pose.s * spheres[m, 1]
+        out[n, 1] = pose.y + pose.s * spheres[m, 0] + pose.c * spheres[m, 1]
+        out[n, 2] = pose.z + spheres[m, 2]
+        out[n, 3] = _ROOMY * spheres[m, 3]
+        if models.shadows:
+            rx, ry = _throw(models, m, pose)
+            out[n, 3] += np.sqrt(rx * rx + ry * ry)
+    return out
+
+
+@compiled_unchecked
+def _place(states: Float64s, numbers: Int64s, wanted: Bools, models: Models, out: PatchSet) -> None:
+    """Copy the models ``numbers`` to their ``states``, but only those that are wanted; see :class:`Fleet`."""
     patches = models.patches
     q = under = 0
     for n in range(states.shape[0]):
-        state, m = states[n], numbers[n]
-        c, s = np.cos(state[YAW]), np.sin(state[YAW])
-        pose = Pose(
-            state[X], state[Y], state[HEIGHT], c, s, state[RISE_X], state[RISE_Y], state[GRID_U], state[GRID_V],
-            state[DX_DV], state[DY_DU],
-        )  # fmt: skip
-        # The group: where it begins, and its bounding sphere.
         out.group_start[n] = q
-        spheres = patches.groups
-        out.groups[n, 0] = pose.x + c * spheres[m, 0] - s * spheres[m, 1]
-        out.groups[n, 1] = pose.y + s * spheres[m, 0] + c * spheres[m, 1]
-        out.groups[n, 2] = pose.z + spheres[m, 2]
-        out.groups[n, 3] = _ROOMY * spheres[m, 3]
+        if not wanted[n]:
+            continue
+        pose, m, light = _pose(states[n]), numbers[n], states[n, SKYLIGHT]
         # The body, in what light there is.
-        light = state[SKYLIGHT]
         for p in range(patches.group_start[m], patches.group_start[m + 1]):
             _move(patches, p, pose, out, q)
-            _face(patches, p, (c, s), models.sun, out, q)
+            _face(patches, p, (pose.c, pose.s), models.sun, out, q)
             for j in range(3):
                 out.look[q, j] *= light
             out.tag[q, BODY] = n + 1
@@ -112,12 +130,21 @@ def _place(states: Float64s, numbers: Int64s, models: Models, out: PatchSet) -> 
         # Its shadow, which looks like the ground under it.
         if models.shadows:
             q = _throw_shadow(models, m, pose, under, out, q)
-            rx, ry = _throw(models, m, pose)
-            out.groups[n, 3] += np.sqrt(rx * rx + ry * ry)
     out.group_start[states.shape[0]] = q
 
 
-@compiled_unchecked
+@inlined
+def _copy(patches: PatchSet, p: int, out: PatchSet, q: int) -> None:
+    """How patch ``p`` looks, to ``q``; single numbers, since Numba copies a row more slowly."""
+    for j in range(6):
+        out.texel[q, j] = patches.texel[p, j]
+    for j in range(13):
+        out.look[q, j] = patches.look[p, j]
+    for j in range(4):
+        out.tag[q, j] = patches.tag[p, j]
+
+
+@inlined
 def _move(patches: PatchSet, p: int, pose: Pose, out: PatchSet, q: int) -> None:
     """Copy patch ``p`` to ``q``, turned and moved to ``pose``."""
     for e in range(0, 9, 3):
@@ -128,10 +155,10 @@ def _move(patches: PatchSet, p: int, pose: Pose, out: PatchSet, q: int) -> None:
     out.geometry[q, 0] += pose.x
     out.geometry[q, 1] += pose.y
     out.geometry[q, 2] += pose.z
-    out.texel[q], out.look[q], out.tag[q] = patches.texel[p], patches.look[p], patches.tag[p]
+    _copy(patches, p, out, q)
 
 
-@compiled_unchecked
+@inlined
 def _face(patches: PatchSet, p: int, turn: tuple[float, float], sun: Float64s, out: PatchSet, q: int) -> None:
     """Turn the normal of patch ``p`` and look how it faces the sun; what is seen from both sides is lit on both."""
     c, s = turn
@@ -166,7 +193,7 @@ def _throw_shadow(models: Models, m: int, pose: Pose, under: int, out: PatchSet,
     ahead, aside = c * rx + s * ry > 0.0, s * rx - c * ry > 0.0
     patches = models.patches
     for k in range(_SWEEPS):
-        out.texel[q], out.look[q], out.tag[q] = patches.texel[under], patches.look[under], patches.tag[under]
+        _copy(patches, under, out, q)
         for j in range(3):
             out.look[q, j] = 1.0  # the tint
         out.tag[q, SIDES] = TWO_SIDED
@@ -232,23 +259,31 @@ class Fleet:
         numbers = [self._numbers[v.kind, v.colour] for v in vehicles]
         return np.array(numbers + [self._people[p.kind, p.look] + p.pose for p in people], np.int64)
 
-    def placed(self, models: NDArray[np.int64], states: NDArray[np.float64]) -> PatchSet:
+    def placed(
+        self,
+        models: NDArray[np.int64],
+        states: NDArray[np.float64],
+        seen_by: tuple[View, tuple[int, int]] | None = None,
+    ) -> PatchSet:
         """Patches of vehicles and people, one group each; number i is rigid body i + 1.
 
         Args:
             models: ``(n,)`` numbers.
             states: of ``moving_states``.
+            seen_by: camera, and height and width of its picture; groups that it cannot show stay empty.
         """
-        total = int(self._counts[models].sum())
+        groups = _bounds(states, models, self._models)
+        wanted = np.ones(len(states), np.bool_) if seen_by is None else spheres_in_view(groups, *seen_by)
+        total = int(self._counts[models[wanted]].sum())
         patches = PatchSet(
             geometry=np.empty((total, 9)),
             texel=np.empty((total, 6)),
             look=np.empty((total, 13), np.float32),
             tag=np.empty((total, 4), np.int32),
-            groups=np.empty((len(states), 4)),
+            groups=groups,
             group_start=np.empty(len(states) + 1, np.int64),
         )
-        _place(states, models, self._models, patches)
+        _place(states, models, wanted, self._models, patches)
         return patches
 
 

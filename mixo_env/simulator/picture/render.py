@@ -26,7 +26,7 @@ from mixo_env.simulator.picture.mirror import mirror_road
 from mixo_env.simulator.picture.rain import add_spray, spray_puffs
 from mixo_env.simulator.picture.rasterizer import DepthBuffers
 from mixo_env.simulator.picture.sampling import above_shadow, even_cells
-from mixo_env.simulator.picture.sensor import NOISE_SIDE, Sensor, expose, mean_radiance
+from mixo_env.simulator.picture.sensor import NOISE_SIDE, Sensor, expose, mean_radiance, noise_offsets, noise_table
 from mixo_env.simulator.picture.shading import shade
 from mixo_env.simulator.picture.spans import Canvas, Shot
 from mixo_env.simulator.picture.views import LIGHT, Daylight, Float32s, Float64s, Int64s, Lamps, Textures, View
@@ -43,7 +43,6 @@ GLARE = 0.12
 
 _PEOPLE_SEEN_M = 100.0  # farther ones are a few pixels high
 _WIDEST_PX = 1600  # the table of noise is as wide as such a row of pixels needs
-_OFFSET_STEP = 2**32 // NOISE_SIDE  # of 32 random bits, the highest ten
 _VIGNETTE = 0.22  # cos^4 of the angle to the optical axis, whose squared tangent this is at the edge
 
 
@@ -104,8 +103,7 @@ class Renderer:
         self.world = world
         self.weather = weather_named(weather) if isinstance(weather, str) else weather
         self._sizes: dict[tuple[int, int], _Memory] = {}
-        columns = 3 * _WIDEST_PX + NOISE_SIDE
-        self._noise = np.random.default_rng(20).standard_normal((NOISE_SIDE, columns), np.float32)
+        self._noise = noise_table(3 * _WIDEST_PX + NOISE_SIDE)
         self._fleet = Fleet(world, shadows=self.weather.sun > 0.0)
         self._daylight = Daylight(world.sunlight, even_cells(world.sunlight), world.shadow_height)
         self._textures = Textures(
@@ -116,6 +114,7 @@ class Renderer:
             quads(world.sky).ravel(),
             float(world.ground_texels_per_m),
             self.weather.grain_levels,
+            self.weather.most_taps,
         )
         self._no_lamps = Lamps(np.zeros((1, 1), np.float32), np.zeros(2), np.zeros(3), np.zeros(8))
         self._light = _light(self.weather)
@@ -166,8 +165,10 @@ class Renderer:
         # What is seen, in which light and how it moves.
         fx, fy, cx, cy = calibration.intrinsic.take((0, 4, 2, 5)).tolist()
         view = View(rotation, position, fx, fy, cx, cy, float(weather.sight_m))
-        memory.buffers.draw_patches((self._fleet.placed(models, states), world.static), view, self._textures)
-        seen, radiance = memory.buffers.seen, memory.canvas.radiance
+        radiance = memory.canvas.radiance
+        placed = self._fleet.placed(models, states, (view, radiance.shape))
+        memory.buffers.draw_patches((placed, world.static), view, self._textures)
+        seen = memory.buffers.seen  # only now: drawing makes room for more patches
         lamps = self._lamps(calibration, position, near)
         shade(Shot(seen, view, self._light, self._textures, self._daylight, lamps, motion), memory.canvas)
         # Rain, and what lens and glass do.
@@ -194,7 +195,7 @@ class Renderer:
         if self._is_dark:
             add_glare(radiance, RADIANCE_UNIT / gain, GLARE)
         image = np.empty((height, width, 3), np.uint8)
-        offset = _noise_offsets(noise_seed, height)
+        offset = noise_offsets(noise_seed, height)
         expose(radiance, memory.canvas.flow, offset, gain / RADIANCE_UNIT, memory.sensor, image)
         return image
 
@@ -273,8 +274,3 @@ def _light(weather: Weather) -> NDArray[np.void]:
     haze, zenith = ((unit * part for part in colour) for colour in (w.haze, w.zenith))
     values = (unit * w.ambient, unit * w.sun, w.haze_per_m, *haze, *zenith, w.clouds, unit * w.lamps, w.wetness)
     return np.array([(*values, *w.colour)], LIGHT)
-
-
-def _noise_offsets(seed: int, height: int) -> NDArray[np.uint32]:
-    """Row and first column of the table of noise for each row of a picture, ``(height, 2)``."""
-    return np.random.PCG64(seed).random_raw(height).view(np.uint32).reshape(height, 2) // _OFFSET_STEP

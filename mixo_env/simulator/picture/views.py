@@ -11,9 +11,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+Bools = NDArray[np.bool_]
 Float32s = NDArray[np.float32]
 Float64s = NDArray[np.float64]
 UInt8s = NDArray[np.uint8]
+Int8s = NDArray[np.int8]
 Int32s = NDArray[np.int32]
 Int64s = NDArray[np.int64]
 UInt32s = NDArray[np.uint32]
@@ -104,6 +106,7 @@ class Textures(NamedTuple):
         sky: clouds, ``quads``.
         ground_texels_per_m: scale of the ground texture.
         grain_levels: reductions of the fine grain that are drawn.
+        most_taps: samples along the long axis of a pixel's footprint on a slanted surface.
     """
 
     texels: UInt32s
@@ -113,6 +116,7 @@ class Textures(NamedTuple):
     sky: UInt32s
     ground_texels_per_m: float
     grain_levels: int
+    most_taps: int
 
 
 class Daylight(NamedTuple):

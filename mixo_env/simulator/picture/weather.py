@@ -24,6 +24,8 @@ class Weather:
         zenith: radiance of the sky overhead.
         sight_m: everything farther away is lost in the haze.
         grain_levels: reductions of the fine grain that are drawn; the grain of what is farther is lost in the air.
+        most_taps: samples of a slanted surface for one pixel; in rain the air and the long exposure take the sharpness
+            that a third one would give.
         clouds: contrast of the clouds.
         lamps: strength of street lamps, shop windows and vehicle lights.
         wetness: 0 dry to 1 wet: the road darkens and mirrors, vehicles throw up spray.
@@ -43,6 +45,7 @@ class Weather:
     zenith: Rgb
     sight_m: float
     grain_levels: int
+    most_taps: int
     clouds: float
     lamps: float
     wetness: float
@@ -64,6 +67,7 @@ _ALL = (
         zenith=(0.36, 0.56, 0.96),
         sight_m=240.0,
         grain_levels=5,
+        most_taps=3,
         clouds=0.55,
         lamps=0.0,
         wetness=0.0,
@@ -86,6 +90,7 @@ _ALL = (
         zenith=(0.34, 0.48, 0.80),
         sight_m=240.0,
         grain_levels=5,
+        most_taps=3,
         clouds=0.45,
         lamps=0.0,
         wetness=0.0,
@@ -105,6 +110,7 @@ _ALL = (
         zenith=(0.50, 0.53, 0.58),
         sight_m=180.0,
         grain_levels=2,
+        most_taps=2,
         clouds=0.25,
         lamps=0.10,
         wetness=1.0,
@@ -124,6 +130,7 @@ _ALL = (
         zenith=(0.003, 0.004, 0.007),
         sight_m=240.0,
         grain_levels=5,
+        most_taps=3,
         clouds=0.4,
         lamps=1.0,
         wetness=0.0,
