@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import logging
+from importlib.metadata import EntryPoint
+
 import numpy as np
 import pytest
 
 from mixo_env.errors import PolicyError
-from mixo_env.policies import storage
+from mixo_env.policies import plugins, storage
+from mixo_env.policies.drift import Drift
 from mixo_env.policies.fitting import check, prepare
 from mixo_env.policies.linear import Linear
 from mixo_env.policies.match import HighestMatch
@@ -73,3 +77,32 @@ def test_a_policy_is_played_only_where_it_was_fitted_for_and_not_on_its_own_driv
     policy.fitted_on = ()
     with pytest.raises(PolicyError, match="does not say on which drives"):
         check(policy, recordings, "PAPER")
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "said"),
+    [
+        ("memory_s", 0.0, "memory_s above 0"),
+        ("white_share", -0.1, "white_share of 0 to"),
+        ("slow_radps", 2.0 * storage.LARGEST, "slow_radps of 0 to"),
+    ],
+)
+def test_a_drift_that_no_fit_gives_is_refused(name, value, said):
+    sound = {field: np.full(shape, 0.5) for field, shape in Drift.shapes(2).items()}
+    assert Drift.restore(sound | {"constant_radps": np.full(2, -0.1)}).constant_radps[0] == -0.1  # the one with a sign
+    with pytest.raises(ValueError, match=said):
+        Drift.restore(sound | {name: np.array([0.5, value])})
+
+
+def test_plug_ins_with_a_taken_or_unprintable_name_are_left_out_with_a_warning(monkeypatch, caplog):
+    names = ("FINE", "huber", "two\nlines", "fine")
+    points = [EntryPoint(name, "somewhere:Policy", plugins.GROUP) for name in names]
+    monkeypatch.setattr(plugins, "entry_points", lambda group: points)
+    plugins._warn.cache_clear()
+    with caplog.at_level(logging.WARNING):
+        assert list(plugins.plugins(("HUBER",))) == ["FINE"]
+    assert [record.getMessage().split(": ", 1)[1] for record in caplog.records] == [
+        "the name huber is taken by another policy: left out",
+        "'two\\nlines' is no name for a policy: left out",
+        "the name fine is taken by another policy: left out",
+    ]
