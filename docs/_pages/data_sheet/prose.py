@@ -113,9 +113,9 @@ DIFFERENCES = """Beyond figures:
 * Traffic lights stand at the corners but rule nobody. Vehicles are of four kinds and leave their lane only to pass one
   that stands in it or the island of a roundabout. People keep straight on and away from vehicles; nobody runs, pushes
   a pram or carries an umbrella.
-* Streets form a bent grid on hills of at most 6 % grade, with right-hand traffic and one kind of roundabout, a small one
-  with nothing painted on the road: no long tunnels or motorways, and one style of architecture. Written poses are flat,
-  as those of nuScenes; pictures, wheels and the accelerometer know the slope. Houses stand level with their
+* Streets form a bent grid on hills of at most 6 % grade, with right-hand traffic and one kind of roundabout, a small
+  one with nothing painted on the road: no long tunnels or motorways, and one style of architecture. Written poses are
+  flat, as those of nuScenes; pictures, wheels and the accelerometer know the slope. Houses stand level with their
   foundations in the slope.
 * The lens is a pinhole without distortion (nuScenes images are undistorted as well), the shutter is global.
 * In rain the road mirrors what the picture shows, vehicles throw up spray and drops stick to the glass; falling drops

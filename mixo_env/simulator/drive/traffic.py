@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixo_env.simulator.city.land import Land
-from mixo_env.simulator.city.roundabout import CALM_MPS, Crossing, swerve
+from mixo_env.simulator.city.roundabout import CALM_MPS, ISLAND_M, Crossing, swerve
 from mixo_env.simulator.city.streets import BLOCK_M, HALF_CITY_BLOCKS, LANE_M
 from mixo_env.simulator.city.vehicles import COLOURS, VEHICLE_KINDS, VehicleState
 from mixo_env.simulator.drive.drive import Drive
@@ -35,6 +35,7 @@ _SIGHT_M = 110.0
 _STANDING_ASIDE_M = 1.5  # who stands in the lane stands this far right of its middle, along the parked cars
 _CLEAR_AHEAD_M, _CLEAR_ASIDE_M = 0.9, 0.15  # room around every vehicle, half of the smallest gap
 _CLEAR_IN_CONVOY_M = 0.25  # instead, where everybody creeps bumper to bumper
+_CLEAR_OF_ISLANDS_M = 0.2  # of a convoy, whose second column would else drive over the islands of roundabouts
 _COLUMN_ASIDE_M = 3.9  # of its other column: beyond the middle of the oncoming lane, as vehicles cut in in a turn
 _GAPS_M = (0.8, 1.0, 1.3, 1.7, 2.2, 2.8, 3.5)  # of a convoy to the vehicles before and behind the car
 _KINDS, _KIND_SHARES = ("sedan", "suv", "van", "truck"), (0.52, 0.26, 0.15, 0.07)
@@ -111,7 +112,8 @@ def stage_traffic(rng: np.random.Generator, drive: Drive, seconds: float, land: 
     car = accepted[0]
     if drive.situation == "majority_wrong":
         for vehicle in _convoy(rng, drive, time_s):
-            if not any(_too_close(vehicle, other, _CLEAR_IN_CONVOY_M) for other in accepted):
+            free = not any(_too_close(vehicle, other, _CLEAR_IN_CONVOY_M) for other in accepted)
+            if free and not _over_an_island(vehicle, land):
                 accepted.append(vehicle)
     for vehicle in _candidates(rng, drive, time_s, land):
         near = np.hypot(vehicle.x_m - car.x_m, vehicle.y_m - car.y_m).min() < _SIGHT_M
@@ -277,6 +279,18 @@ def lanes_of(drive: Drive, time_s: FloatArray) -> tuple[list[Lane], list[Lane]]:
             crossing[Lane(1 - axis, round(ahead), -1)] = None
     driven = set(own) | {lane.opposite for lane in own}
     return list(own), [lane for lane in crossing if lane not in driven]
+
+
+def _over_an_island(vehicle: Vehicle, land: Land) -> bool:
+    """Whether it ever comes over the island of a roundabout, or nearer than _CLEAR_OF_ISLANDS_M."""
+    u, v = BLOCK_M * np.reshape(sorted(land.roundabouts), (-1, 2)).astype(np.float64).T
+    x, y = land.map(u, v)
+    away = ((x + 1j * y)[:, None] - (vehicle.x_m + 1j * vehicle.y_m)) * np.exp(-1j * vehicle.yaw_rad)
+    ahead, aside = (
+        np.abs(part) - 0.5 * size for part, size in zip((away.real, away.imag), vehicle.size_m, strict=True)
+    )
+    away_m = np.hypot(np.maximum(ahead, 0.0), np.maximum(aside, 0.0))
+    return bool((away_m < ISLAND_M + _CLEAR_OF_ISLANDS_M).any())
 
 
 def _too_close(a: Vehicle, b: Vehicle, ahead_m: float = _CLEAR_AHEAD_M) -> bool:

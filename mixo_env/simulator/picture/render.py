@@ -173,8 +173,7 @@ class Renderer:
         shade(Shot(seen, view, self._light, self._textures, self._daylight, lamps, motion), memory.canvas)
         # Rain, and what lens and glass do.
         if weather.wetness > 0.0:
-            wheels = slice(len(near))  # people come after the vehicles and throw nothing up
-            self._add_rain(memory, view, states[wheels], models[wheels])
+            self._add_rain(memory, view, states[: len(near)], models[: len(near)])  # people throw nothing up
         if veil is not None:
             see_through(radiance, veil)
         if weather.sun > 0.0:
