@@ -1,7 +1,8 @@
 """How the bundled recordings are made: ``make mixocity``, or stage by stage with ``python -m experiments.mixocity``.
 
-Images stay in a cache outside the repository, so that experts can be recorded anew without rendering. Every stage may
-be interrupted: the same command continues.
+Images stay in a cache outside the repository, so that experts can be recorded anew without rendering. Processes share
+the work log by log when they simulate, scene by scene when they record, and every stage may be interrupted: the same
+command continues with the scene it was at. Once a stage has recorded its scenes, their images are needed no more.
 """
 
 from __future__ import annotations
@@ -9,19 +10,22 @@ from __future__ import annotations
 import logging
 import shutil
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal, get_args
 
 import mixo_env
 from mixo_env.errors import DatasetError, MixoError
+from mixo_env.experts.joint.config import JointConfig
+from mixo_env.experts.learned import LearnedConfig
 from mixo_env.experts.monocular.config import MonocularConfig
+from mixo_env.experts.tutorial import TutorialConfig
 from mixo_env.leaderboard.conditions import SITUATIONS
 from mixo_env.nuscenes.tables import open_dataset
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.fitting import with_fits
-from mixo_env.recordings.folds import folds_by_log
+from mixo_env.recordings.folds import FOLDS, folds_by_log
 from mixo_env.recordings.record import RecordConfig, record
 from mixo_env.recordings.schema import SceneEntry
 from mixo_env.recordings.store import save_recordings
@@ -33,8 +37,8 @@ from mixo_env.simulator.drive.scenario import LOCATION, plan_logs
 
 logger = logging.getLogger(__name__)
 
-CONFIG = SimulationConfig(scenes=104, scenes_per_log=4, seed=0, seconds=20, rain=0.2, night=2 / 26)
-"""26 drives of 4 scenes, the paper's four cameras at 800 x 450: 19 by day, 5 in rain, 2 at night (``ood``)."""
+CONFIG = SimulationConfig(scenes=344, scenes_per_log=4, seed=0, seconds=20, rain=0.2, night=6 / 86)
+"""86 drives of 4 scenes, the paper's four cameras at 800 x 450: 63 by day, 17 in rain, 6 at night (``ood``)."""
 
 FULL_SIZE = replace(CONFIG, width=1600, height=900)
 """The same drives at the size of nuScenes; only the scenes of :func:`full_size_scenes` are rendered."""
@@ -42,15 +46,26 @@ FULL_SIZE = replace(CONFIG, width=1600, height=900)
 RETRAINED = ("CAM_BACK_RIGHT", "CAM_FRONT_LEFT")
 """Cameras that the paper gives a vocabulary of their own."""
 
-DATA_VERSION = "0.6"
+DATA_VERSION = "1.0"
 
-Stage = Literal["simulate", "vocabularies", "record", "simulate-paper", "record-paper"]
+Stage = Literal["simulate", "record", "vocabularies", "record-rows", "simulate-paper", "record-paper"]
+
+
+def row_scenes() -> tuple[str, ...]:
+    """The subset on which further rows stand: the first scene of 40 of the 80 drives that are not at night.
+
+    Folds deal out logs in order of name, one each in turn; of every eight logs in that order the first four are taken,
+    so that the rule of the folds says the same of the subset alone, and retrained words stay in their folds.
+    """
+    logs = sorted((log for log in plan_logs(CONFIG) if log.weather != "night"), key=lambda log: log.logfile)
+    return tuple(sorted(log.scenes[0].name for number, log in enumerate(logs) if number % 8 < FOLDS))
 
 
 def full_size_scenes() -> tuple[str, ...]:
-    """First scene of every third drive that is not at night: 8 scenes, two of every fold."""
-    logs = [log for log in plan_logs(FULL_SIZE) if log.weather != "night"]
-    return tuple(log.scenes[0].name for log in logs[::3])
+    """Two scenes of every fold, the first and the last of ``row_scenes`` there."""
+    fold_of = planned_folds()
+    of_fold = [[name for name in row_scenes() if fold_of[name] == fold] for fold in range(FOLDS)]
+    return tuple(sorted(name for names in of_fold for name in (names[0], names[-1])))
 
 
 def planned_folds() -> dict[str, int]:
@@ -71,19 +86,20 @@ def planned_situations() -> dict[str, str]:
 
 @dataclass(frozen=True)
 class Build:
-    """Make the bundled recordings anew: a few hours on 2 cores.
+    """Make the bundled recordings anew: about three hours on 2 cores.
 
     Worked examples:
 
       python -m experiments.mixocity                                   everything, or what is still missing
       python -m experiments.mixocity --stages simulate --workers 8     images only
-      python -m experiments.mixocity --stages vocabularies record      other experts, the same images
+      python -m experiments.mixocity --stages record record-rows       other experts, the same images
     """
 
     cache: Path = Path.home() / ".cache" / "mixocity"
-    """Where images, vocabularies and unfinished recordings are kept (about 20 GB)."""
+    """Where images, vocabularies and unfinished recordings are kept (about 22 GB, nearly all images)."""
     out: Path = Path(mixo_env.__file__).parent / "recordings" / "data"
-    """Where finished recordings go: ``mixocity`` and ``mixocity-paper`` (8 scenes at 1600 x 900, preset "paper")."""
+    """Where finished recordings go: ``mixocity``, ``mixocity-rows`` (40 scenes with all rows) and ``mixocity-paper`` (8
+    scenes at 1600 x 900, preset "paper")."""
     stages: tuple[Stage, ...] = get_args(Stage)
     """What to do, in this order; all by default."""
     workers: int = 2
@@ -97,31 +113,33 @@ class Build:
             match stage:
                 case "simulate":
                     simulate(CONFIG, city, self.workers, progress)
+                case "record":
+                    self._record(city, "mixocity", RecordConfig(joint=JointConfig()), progress)
                 case "vocabularies":
                     self._vocabularies(city)
-                case "record":
-                    self._record(city, "mixocity", "fast", self._vocabularies(city), progress)
+                case "record-rows":
+                    rows = RecordConfig(
+                        scenes=row_scenes(),
+                        variants=self._vocabularies(city),
+                        joint=JointConfig(),
+                        tutorial=TutorialConfig(),
+                        learned=LearnedConfig(),
+                    )
+                    self._record(city, "mixocity-rows", rows, progress)
                 case "simulate-paper":
                     simulate(FULL_SIZE, full_size, self.workers, progress, only=full_size_scenes())
                 case "record-paper":
-                    self._record(full_size, "mixocity-paper", "paper", {}, progress)
+                    paper = RecordConfig(monocular=MonocularConfig.preset("paper"))
+                    self._record(full_size, "mixocity-paper", paper, progress)
 
     def _vocabularies(self, city: Path) -> dict[str, Retrained]:
         """Trained on a random 20 % of the images of the folds that a scene is not in."""
-        return retrain(open_dataset(city), RETRAINED, MonocularConfig.preset("fast"), self.cache, workers=self.workers)
+        settings, scenes = MonocularConfig.preset("fast"), row_scenes()
+        return retrain(open_dataset(city), RETRAINED, settings, self.cache, scenes=scenes, workers=self.workers)
 
-    def _record(
-        self,
-        root: Path,
-        name: str,
-        preset: str,
-        variants: Mapping[str, Retrained],
-        progress: Callable[[int, int], None],
-    ) -> None:
+    def _record(self, root: Path, name: str, config: RecordConfig, progress: Callable[[int, int], None]) -> None:
         """Record into the cache, and put the finished recording in its place."""
-        config = RecordConfig(
-            monocular=MonocularConfig.preset(preset), data_version=f"{name}-{DATA_VERSION}", variants=variants
-        )
+        config = replace(config, data_version=f"{name}-{DATA_VERSION}")
         recordings = record(open_dataset(root), config, self.cache / name, self.workers, progress)
         if skipped := recordings.manifest.parameters["skipped"]:
             raise DatasetError(f"{name} is not whole: {len(skipped)} scenes could not be recorded, see above")
@@ -131,7 +149,7 @@ class Build:
 
 
 def with_planned_folds(recordings: Recordings) -> Recordings:
-    """The recordings with the folds of all 104 scenes, even if they hold but some: nothing leaks between the two."""
+    """The recordings with the folds of the whole plan, even if they hold but some: nothing leaks between them."""
     fold_of, staged = planned_folds(), planned_situations()
     scenes = tuple(replace(scene, fold=fold_of[scene.name]) for scene in recordings.scenes)
     parameters = recordings.manifest.parameters | {SITUATIONS: {scene.name: staged[scene.name] for scene in scenes}}

@@ -9,12 +9,14 @@ import numpy as np
 import pytest
 
 from experiments import mixocity
-from experiments.mixocity import CONFIG, FULL_SIZE, full_size_scenes, planned_folds
+from experiments.mixocity import CONFIG, FULL_SIZE, full_size_scenes, planned_folds, row_scenes
 from mixo_env.errors import DatasetError
+from mixo_env.experts.families import family_expert
 from mixo_env.experts.monocular.config import MonocularConfig
 from mixo_env.nuscenes.selections import CAMERAS
 from mixo_env.recordings.collection import Recordings
-from mixo_env.recordings.folds import FOLDS, OUT_OF_DISTRIBUTION
+from mixo_env.recordings.folds import FOLDS, OUT_OF_DISTRIBUTION, folds_by_log
+from mixo_env.recordings.schema import SceneEntry
 from mixo_env.recordings.store import load_recordings
 from mixo_env.simulator.drive.scenario import plan_logs
 from mixo_env.simulator.drive.scenes import scene_drive
@@ -23,24 +25,34 @@ from tests.synthetic import synthetic_recordings
 
 def test_scenes_weather_and_folds():
     logs = plan_logs(CONFIG)
-    assert (len(logs), CONFIG.cameras, CONFIG.seconds) == (26, CAMERAS, 20)
-    assert Counter(log.weather for log in logs) == {"day": 19, "rain": 5, "night": 2}
-    assert len({log.world_seed for log in logs}) == 26
+    assert (len(logs), CONFIG.cameras, CONFIG.seconds) == (86, CAMERAS, 20)
+    assert Counter(log.weather for log in logs) == {"day": 63, "rain": 17, "night": 6}
+    assert len({log.world_seed for log in logs}) == 86
     fold_of = planned_folds()
-    assert Counter(fold_of.values()) == {0: 24, 1: 24, 2: 24, 3: 24, OUT_OF_DISTRIBUTION: 8}
+    assert Counter(fold_of.values()) == {0: 80, 1: 80, 2: 80, 3: 80, OUT_OF_DISTRIBUTION: 24}
     for fold in range(FOLDS):
         inside = [log for log in logs if {fold_of[scene.name] for scene in log.scenes} == {fold}]
-        assert len(inside) == 6
-        assert 1 <= sum(log.weather == "rain" for log in inside) <= 2
-        assert {log.vehicle for log in inside} == {"m001", "m002"}
+        assert len(inside) == 20
+        assert {log.weather for log in inside} == {"day", "rain"}
+        assert Counter(log.vehicle for log in inside) == {"m001": 10, "m002": 10}
+
+
+def test_further_rows_stand_on_forty_drives_and_the_rule_of_the_folds_says_the_same_of_them_alone():
+    names, fold_of = row_scenes(), planned_folds()
+    log_of = {scene.name: log for log in plan_logs(CONFIG) for scene in log.scenes}
+    assert len({log_of[name].logfile for name in names}) == len(names) == 40
+    alone = [SceneEntry(n, log_of[n].logfile, log_of[n].vehicle, "", (log_of[n].weather,), -1, 0) for n in names]
+    assert folds_by_log(alone) == [fold_of[name] for name in names]
+    assert Counter(fold_of[name] for name in names) == dict.fromkeys(range(FOLDS), 10)
+    assert Counter(log_of[name].vehicle for name in names) == {"m001": 20, "m002": 20}
 
 
 def test_every_situation_is_staged_and_most_scenes_are_ordinary():
     logs = plan_logs(CONFIG)
     staged = Counter(scene.situation for log in logs for scene in log.scenes)
-    assert set(staged) == {*CONFIG.situations.by_name(), "ordinary"}
+    assert set(staged) == {*CONFIG.situations.by_name(), "ordinary"} - {"majority_wrong"}
     assert min(staged.values()) >= 4
-    assert staged["ordinary"] > 104 / 2
+    assert staged["ordinary"] > CONFIG.scenes / 2
     by_day = {scene.situation for log in logs if log.weather != "night" for scene in log.scenes}
     assert by_day == set(staged)
     assert {log.weather for log in logs if log.low_texture} >= {"day"}
@@ -48,6 +60,7 @@ def test_every_situation_is_staged_and_most_scenes_are_ordinary():
 
 def test_full_size_scenes_are_the_same_drives():
     names = full_size_scenes()
+    assert set(names) < set(row_scenes())
     small, large = (
         {scene.name: (log, scene) for log in plan_logs(config) for scene in log.scenes}
         for config in (CONFIG, FULL_SIZE)
@@ -81,14 +94,16 @@ def stages(monkeypatch) -> list[tuple]:
     scenes = tuple(replace(scene, name=name, fold=-1) for scene, name in entries)
 
     def record(dataset, config, out, workers, progress) -> Recordings:
-        asked.append(
-            ("record", dataset.name, out.name, config.data_version, config.monocular.features, config.variants)
-        )
+        assert out.parent == dataset.parent
+        asked.append(("record", dataset.name, out.name, config))
         return drawn.replace(replace(drawn.manifest, scenes=scenes, parameters={"skipped": {}}))
 
+    monkeypatch.setattr("mixo_env.recordings.record.require_xfeat", lambda: None)
     monkeypatch.setattr(mixocity, "simulate", lambda *given, **only: asked.append(("simulate", *given[:3], only)))
     monkeypatch.setattr(
-        mixocity, "retrain", lambda dataset, cameras, *_, **__: asked.append(("retrain", cameras)) or {}
+        mixocity,
+        "retrain",
+        lambda dataset, cameras, *_, scenes, **__: asked.append(("retrain", cameras, scenes)) or {},
     )
     monkeypatch.setattr(mixocity, "open_dataset", lambda root: root)
     monkeypatch.setattr(mixocity, "record", record)
@@ -98,13 +113,25 @@ def stages(monkeypatch) -> list[tuple]:
 def test_stages_in_order(stages, tmp_path):
     cache, out = tmp_path / "cache", tmp_path / "data"
     mixocity.Build(cache=cache, out=out, workers=3).run()
-    assert [stage[0] for stage in stages] == ["simulate", "retrain", "retrain", "record", "simulate", "record"]
+    assert [stage[0] for stage in stages] == [
+        "simulate", "record", "retrain", "retrain", "record", "simulate", "record"
+    ]  # fmt: skip
     assert stages[0] == ("simulate", CONFIG, cache / "city", 3, {})
-    assert stages[4] == ("simulate", FULL_SIZE, cache / "full-size", 3, {"only": full_size_scenes()})
-    assert stages[1][1] == mixocity.RETRAINED
-    fast = MonocularConfig.preset("fast").features
-    assert stages[3] == ("record", "city", "mixocity", f"mixocity-{mixocity.DATA_VERSION}", fast, {})
-    assert stages[5][1:5] == ("full-size", "mixocity-paper", f"mixocity-paper-{mixocity.DATA_VERSION}", 8000)
+    assert stages[5] == ("simulate", FULL_SIZE, cache / "full-size", 3, {"only": full_size_scenes()})
+    assert stages[2] == ("retrain", mixocity.RETRAINED, row_scenes())
+    (_, *whole), (_, *rows), (_, *paper) = (stage for stage in stages if stage[0] == "record")
+    assert [where for *where, _ in (whole, rows, paper)] == [
+        ["city", "mixocity"], ["city", "mixocity-rows"], ["full-size", "mixocity-paper"]
+    ]  # fmt: skip
+    assert [config.data_version for *_, config in (whole, rows, paper)] == [
+        f"{name}-{mixocity.DATA_VERSION}" for name in ("mixocity", "mixocity-rows", "mixocity-paper")
+    ]
+    assert (whole[-1].scenes, list(whole[-1].recorded_variants())) == ((), ["JOINT"])
+    assert rows[-1].scenes == row_scenes()
+    further = {"JOINT", *(family_expert(family, camera) for family in ("TUTORIAL", "LEARNED") for camera in CAMERAS)}
+    assert set(rows[-1].recorded_variants()) == further
+    assert whole[-1].monocular == rows[-1].monocular == MonocularConfig.preset("fast")
+    assert paper[-1].monocular == MonocularConfig.preset("paper")
     put = load_recordings(out / "mixocity-paper")
     assert {scene.name: scene.fold for scene in put.scenes} == {
         name: planned_folds()[name] for name in full_size_scenes()

@@ -7,8 +7,10 @@ from importlib.resources import files
 import numpy as np
 import pytest
 
-from experiments.mixocity import DATA_VERSION, RETRAINED, full_size_scenes, planned_folds
+from experiments.mixocity import DATA_VERSION, RETRAINED, full_size_scenes, planned_folds, row_scenes
+from mixo_env.experts.families import family_expert
 from mixo_env.nuscenes.selections import CAMERAS
+from mixo_env.recordings.joint import JOINT
 from mixo_env.recordings.schema import HEADLINE_TRACKS, INERTIAL_EXPERTS, SPLITS
 from mixo_env.recordings.store import bundled_recordings, load_recordings
 
@@ -22,7 +24,7 @@ of_this_version = pytest.mark.skipif(
 def test_they_are_small():
     assert "mixocity" in bundled_recordings()
     names = bundled_recordings()
-    assert sum(len(entry.read_bytes()) for name in names for entry in (DATA / name).iterdir()) < 20_000_000
+    assert sum(len(entry.read_bytes()) for name in names for entry in (DATA / name).iterdir()) < 32_000_000
 
 
 @pytest.mark.parametrize("name", bundled_recordings())
@@ -60,12 +62,23 @@ def test_mixocity_is_what_was_planned():
     recordings = load_recordings()
     assert {scene.name: scene.fold for scene in recordings.scenes} == planned_folds()
     assert (recordings.manifest.cameras, recordings.manifest.inertial) == (CAMERAS, INERTIAL_EXPERTS)
-    assert set(recordings.manifest.variants.values()) == set(RETRAINED)
+    assert set(recordings.manifest.variants) == {JOINT}
     for expert in INERTIAL_EXPERTS:
         assert np.isfinite(recordings[f"{expert}.yaw_increment_rad"]).sum() == len(recordings["step"]) - len(recordings)
 
 
-@pytest.mark.skipif("mixocity-paper" not in bundled_recordings(), reason="not bundled yet")
+@of_this_version
+def test_mixocity_rows_are_scenes_of_mixocity_with_further_rows():
+    whole, rows = load_recordings("mixocity").select(scenes=row_scenes()), load_recordings("mixocity-rows")
+    assert [(scene.name, scene.fold) for scene in rows.scenes] == [(scene.name, scene.fold) for scene in whole.scenes]
+    families = {family_expert(family, camera) for family in ("TUTORIAL", "LEARNED") for camera in CAMERAS}
+    retrained = {f"{camera} w/ retrained vocabulary" for camera in RETRAINED}
+    assert set(rows.manifest.variants) == {JOINT, *families, *retrained}
+    for column in whole.column_names:
+        np.testing.assert_array_equal(rows[column], whole[column], err_msg=column)
+
+
+@of_this_version
 def test_mixocity_paper_shows_the_same_drives_in_the_same_folds():
     small, large = load_recordings("mixocity"), load_recordings("mixocity-paper")
     assert {scene.name: scene.fold for scene in large.scenes} == {

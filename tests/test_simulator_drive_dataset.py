@@ -239,10 +239,12 @@ def test_cameras_ride_on_the_body():
         calibration: CameraCalibration = log.rig.true[channel]
         pose = camera_pose(drive, calibration.rotation_ego_from_camera, calibration.translation_m, 1.0)
         yaw = float(drive.at("yaw_rad", 1.0))
-        ego = np.array([float(drive.at("x_m", 1.0)), float(drive.at("y_m", 1.0)), 0.0])
+        ego = np.array([float(drive.at("x_m", 1.0)), float(drive.at("y_m", 1.0)), float(drive.at("z_m", 1.0))])
         c, s = np.cos(yaw), np.sin(yaw)
         level = ego + np.array([[c, -s, 0], [s, c, 0], [0, 0, 1]]) @ calibration.translation_m
-        assert np.linalg.norm(pose.position_m - level) < 0.12  # pitch, roll and heave move it by centimetres
+        assert (
+            np.linalg.norm(pose.position_m - level) < 0.2
+        )  # pitch, roll and heave move it by centimetres, a slope of 6 % by a decimetre more
         assert pose.rotation_map_from_camera @ pose.rotation_map_from_camera.T == pytest.approx(np.eye(3), abs=1e-9)
         axis = pose.rotation_map_from_camera[:, 2]
         mounted = calibration.rotation_ego_from_camera[:, 2]

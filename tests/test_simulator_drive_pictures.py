@@ -13,12 +13,14 @@ import simplejpeg
 from mixo_env.nuscenes.selections import ALL_CAMERAS
 from mixo_env.nuscenes.tables import open_dataset
 from mixo_env.simulator import dataset
+from mixo_env.simulator.city.land import FLAT
 from mixo_env.simulator.city.vehicles import VEHICLE_KINDS, VehicleState
 from mixo_env.simulator.city.world import CityPlan, build_world
 from mixo_env.simulator.config import SimulationConfig, SituationShares
 from mixo_env.simulator.dataset import simulate
+from mixo_env.simulator.drive.drive import plan_drive
 from mixo_env.simulator.drive.scenario import plan_logs
-from mixo_env.simulator.drive.scenes import camera_pose, pictures, scene_drive, simulate_scene
+from mixo_env.simulator.drive.scenes import camera_pose, pictures, simulate_scene
 from mixo_env.simulator.picture.render import CameraPose, Renderer
 
 CONFIG = SimulationConfig(scenes=1, seconds=2, width=320, height=180, cameras=("CAM_FRONT", "CAM_BACK"))
@@ -36,7 +38,8 @@ def renderer() -> Renderer:
 def test_a_van_at_a_known_place_appears_where_the_tables_say(renderer, channel):
     config = replace(CONFIG, cameras=ALL_CAMERAS)
     log = plan_logs(config)[0]
-    drive = scene_drive(config, log, log.scenes[0])
+    motion = log.scenes[0].motion
+    drive = plan_drive(np.random.default_rng(0), "ordinary", 20.0, log.course_offset_rad, motion, FLAT)
     drive = replace(drive, x_m=drive.x_m + 700.0)  # out of town: nothing stands in the way
     x, y, yaw = (float(drive.at(name, 1.0)) for name in ("x_m", "y_m", "yaw_rad"))
     true, written = log.rig.true[channel], log.rig.written[channel]

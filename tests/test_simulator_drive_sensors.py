@@ -7,10 +7,12 @@ import pytest
 
 from mixo_env.geometry import yaw_from_quaternion_wxyz
 from mixo_env.nuscenes.selections import ALL_CAMERAS, CAMERA_OFFSET_US
+from mixo_env.simulator.city.land import land_of
 from mixo_env.simulator.drive import rig as rigs
 from mixo_env.simulator.drive.clock import MAX_STAMP_ERROR_US, scene_times
 from mixo_env.simulator.drive.drive import plan_drive
 from mixo_env.simulator.drive.localisation import localise
+from mixo_env.simulator.drive.targets import deal_motions
 from mixo_env.simulator.drive.vehicle_bus import RPM_RESOLUTION, bus_messages, draw_sensors
 
 START_US = 1_715_000_000_000_000
@@ -89,7 +91,7 @@ def recorded():
     scenes = []
     for seed, situation in ((1, "tight_turn"), (2, "standing")):
         rng = np.random.default_rng(seed)
-        drive = plan_drive(rng, situation, 20.0, -0.008)
+        drive = plan_drive(rng, situation, 20.0, -0.008, deal_motions(rng, [situation])[0], land_of(seed))
         localisation = localise(rng, drive, 0.03)
         sensors = draw_sensors(rng, 0.305)
         messages = bus_messages(rng, drive, localisation, sensors, START_US, START_US + 19_500_000)

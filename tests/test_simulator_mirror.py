@@ -42,7 +42,8 @@ class Scene:
         images = np.empty((height + 1) // 2 * ((width + 1) // 2) + 1, np.int64)
         noise = np.full((512, 512), clouds, np.uint8)
         seen = Seen(self.depth, self.owner, self.plane, np.zeros((5, 13), np.float32), MARK)
-        mirror_road(radiance, seen, View(self.rotation, POSITION, *LENS, far_m=100.0), noise, wetness, images)
+        view = View(self.rotation, POSITION, *LENS, far_m=100.0)
+        mirror_road(radiance, seen, view, POSITION[2], noise, wetness, images)
         return radiance
 
 

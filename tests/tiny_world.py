@@ -30,6 +30,7 @@ FLAT = Weather(
     zenith=(0.0, 0.0, 0.0),
     sight_m=240.0,
     grain_levels=5,
+    most_taps=3,
     clouds=0.0,
     lamps=0.0,
     wetness=0.0,
@@ -73,6 +74,7 @@ def world_of(textures: Sequence[Bytes], patches: Sequence[Patch]) -> World:
         sun=SUN,
         static=packed([mesh_of([patch]) for patch in patches], SUN),
         vehicles={},
+        people={},
         texels=texels,
         table=table,
         detail=detail,
@@ -82,6 +84,7 @@ def world_of(textures: Sequence[Bytes], patches: Sequence[Patch]) -> World:
         shadow_height=field,
         lamp_light=np.zeros((1024, 1024), np.float32),
         ground_texels_per_m=16.0,
+        underpasses=np.empty((0, 4)),
     )
 
 

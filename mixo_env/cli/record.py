@@ -89,6 +89,7 @@ class Record:
         from mixo_env.nuscenes.checks.judge import JudgedDataset
         from mixo_env.nuscenes.selecting import chosen
         from mixo_env.nuscenes.tables import open_dataset
+        from mixo_env.recordings.camera_faults import told_faults
         from mixo_env.recordings.folder import claimed
         from mixo_env.recordings.record import RecordConfig, record
         from mixo_env.recordings.vocabularies import retrain
@@ -125,6 +126,7 @@ class Record:
             images=self.images,
             tutorial=TutorialConfig() if "TUTORIAL" in self.experts else None,
             learned=LearnedConfig() if "LEARNED" in self.experts else None,
+            camera_faults=told_faults(dataset.root),
         )
         with progress("recording scenes") as report:
             recordings = record(

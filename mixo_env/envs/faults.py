@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from mixo_env.envs.options import check_fields
 from mixo_env.errors import ConfigurationError, unknown
 from mixo_env.experts.expert import State
+from mixo_env.recordings.camera_faults import noted_faults
 from mixo_env.recordings.collection import Recordings
 
 FaultKind = Literal["stuck", "flipped", "noisy", "delayed", "dropped"]
@@ -106,3 +107,38 @@ def faulty(increments: NDArray[Any], dt_s: NDArray[np.float64], fault: Fault, rn
             said = np.flatnonzero(np.isfinite(healthy[1:start])) + 1
             rate = healthy[said[-1]] / dt_s[said[-1]] if len(said) else 0.0
             increments[after] = np.where(np.isfinite(healthy[after]), rate * dt_s[after], np.nan)
+
+
+def active_faults(
+    recordings: Recordings, faults: Sequence[Fault], experts: Sequence[str]
+) -> dict[str, NDArray[np.object_]]:
+    """Names of the faults that every row shows, of pictures (as the recordings note) and of what experts say.
+
+    Args:
+        recordings: that are played.
+        faults: injected into them.
+        experts: who votes.
+
+    Returns:
+        Expert -> ``(rows,)`` names, joined by a comma where there are several, ``""`` where all is well. Experts that
+        are sound everywhere are left out.
+    """
+    lasting: dict[str, list[tuple[str, NDArray[np.bool_]]]] = {}
+    variants = recordings.manifest.variants
+    for (camera, kind), where in noted_faults(recordings).items():
+        for expert in experts:
+            if variants.get(expert, expert) == camera:  # all that see these pictures
+                lasting.setdefault(expert, []).append((kind, where))
+    first = np.repeat(recordings.offsets[:-1], np.diff(recordings.offsets))
+    step = np.arange(recordings.offsets[-1]) - first
+    for fault in faults:
+        if fault.expert in experts:
+            lasting.setdefault(fault.expert, []).append((fault.kind, step >= fault.start_step))
+    return {expert: _joined(told) for expert, told in lasting.items()}
+
+
+def _joined(told: Sequence[tuple[str, NDArray[np.bool_]]]) -> NDArray[np.object_]:
+    names = np.full(len(told[0][1]), "", dtype=object)
+    for kind, where in told:
+        names[where] = [f"{before}, {kind}" if before else kind for before in names[where]]
+    return names

@@ -89,8 +89,9 @@ class MixoOdometryEnv(PlainSpec, gym.Env[Any, Any]):  # pyright: ignore[reportIn
     `truncated` is True after the scene's last step; `terminated` never is: nothing the agent does ends a drive.
 
     ## Info
-    Every step: `yaw_increment_rad` (fused), `yaw_error_rad` (fused minus true), the reward's terms, and with `dataroot`
-    `images`, the path of every camera's image of the step to be decided next. Reset: `scene`. Last step: `ate_m`,
+    Every step: `yaw_increment_rad` (fused), `yaw_error_rad` (fused minus true), the reward's terms, with `dataroot`
+    `images`, the path of every camera's image of the step to be decided next, and where an expert fails `faults`: its
+    name -> the kinds of its faults in that step, "" while it is sound. Reset: `scene`. Last step: `ate_m`,
     `ate_deg` (RMSE of position and yaw over all poses, not aligned) and `yaw_rmse_deg` (of the increments), so that
     `Monitor(env, info_keywords=("ate_m",))` logs them, and `scores`, the same with `scene`.
 
@@ -132,6 +133,9 @@ class MixoOdometryEnv(PlainSpec, gym.Env[Any, Any]):  # pyright: ignore[reportIn
     | `"noisy"` | has white noise of `noise_radps` added to its yaw rate |
     | `"delayed"` | says what it should have said `delay_steps` earlier |
     | `"dropped"` | says nothing; a camera is lost |
+
+    Faults change what is observed, never the truth, and `info["faults"]` names them - as it names those of the cameras'
+    pictures, if the recordings were made of a simulated folder with some (`mixo simulate --fault.kind`).
 
     ## Vectorised use
     `gymnasium.make_vec("mixo_env:MixoOdometry-v0", num_envs=1024)` steps all scenes in one compiled loop and equals the
@@ -180,7 +184,7 @@ class MixoOdometryEnv(PlainSpec, gym.Env[Any, Any]):  # pyright: ignore[reportIn
             self.session.rewind()
         self.session.begin(np.arange(1), self.np_random, asked)
         self._ended = False
-        return entry(self.session.observe(), 0), {"scene": self._scene()} | self._image_info()
+        return entry(self.session.observe(), 0), {"scene": self._scene()} | self._coming_info()
 
     def step(self, action: Any) -> tuple[Any, float, bool, bool, dict[str, Any]]:
         """Weigh the experts for one step."""
@@ -196,8 +200,8 @@ class MixoOdometryEnv(PlainSpec, gym.Env[Any, Any]):  # pyright: ignore[reportIn
         if self._ended:
             scores = {name: float(values[0]) for name, values in session.replay.scores().items()}
             info |= scores | {"scores": {"scene": self._scene(), **scores}}
-        if session.images:
-            info |= self._image_info()
+        if session.images or session.faulty:
+            info |= self._coming_info()
         return entry(observation, 0), reward, False, self._ended, info
 
     def render(self) -> Any:
@@ -207,9 +211,15 @@ class MixoOdometryEnv(PlainSpec, gym.Env[Any, Any]):  # pyright: ignore[reportIn
     def _scene(self) -> str:
         return self.session.scene_names(np.ones(1, np.bool_))[0]
 
-    def _image_info(self) -> dict[str, Any]:
-        paths = self.session.image_paths(0)
-        return {"images": {camera: path and str(path) for camera, path in paths.items()}} if paths else {}
+    def _coming_info(self) -> dict[str, Any]:
+        """Images and faults of the step to be decided next."""
+        paths, faults = self.session.image_paths(0), self.session.faults()
+        info: dict[str, Any] = {}
+        if paths:
+            info["images"] = {camera: path and str(path) for camera, path in paths.items()}
+        if faults:
+            info["faults"] = {expert: names[0] for expert, names in faults.items()}
+        return info
 
 
 class MixoOdometryVectorEnv(PlainSpec, VectorEnv[Any, Any, Any]):  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -263,7 +273,7 @@ class MixoOdometryVectorEnv(PlainSpec, VectorEnv[Any, Any, Any]):  # pyright: ig
         self._ended &= ~mask
         self._any_ended = bool(self._ended.any())
         self._begun = True
-        return self.session.observe(), self._reset_info(mask) | self._image_info(mask)
+        return self.session.observe(), self._reset_info(mask) | self._coming_info(mask)
 
     def step(
         self, actions: Any
@@ -288,7 +298,7 @@ class MixoOdometryVectorEnv(PlainSpec, VectorEnv[Any, Any, Any]):  # pyright: ig
         told = dict(zip(REPORT[1:] + session.terms, report[1:], strict=True))
         if ended and mode is AutoresetMode.SAME_STEP:
             info |= {"final_obs": self._listed(observation, truncated), "_final_obs": truncated.copy()}
-            final = only(told, truncated) | self._scores(truncated) | self._image_info(truncated)
+            final = only(told, truncated) | self._scores(truncated) | self._coming_info(truncated)
             info |= {"final_info": final, "_final_info": truncated.copy()}
             session.begin(np.flatnonzero(truncated), self.np_random)
             observation = session.observe()
@@ -299,8 +309,8 @@ class MixoOdometryVectorEnv(PlainSpec, VectorEnv[Any, Any, Any]):  # pyright: ig
             if ended:
                 info |= self._scores(truncated)
             self._ended, self._any_ended = truncated.copy(), ended > 0
-        if session.images:
-            info |= self._image_info(np.ones(self.num_envs, np.bool_))
+        if session.images or session.faulty:
+            info |= self._coming_info(np.ones(self.num_envs, np.bool_))
         return observation, reward, np.zeros(self.num_envs, np.bool_), truncated, info
 
     def render(self) -> tuple[Any, ...] | None:
@@ -329,14 +339,20 @@ class MixoOdometryVectorEnv(PlainSpec, VectorEnv[Any, Any, Any]):  # pyright: ig
         named = {"scene": self.session.scene_names(mask), **scores}
         return masked(scores, mask) | {"scores": masked(named, mask), "_scores": mask}
 
-    def _image_info(self, mask: NDArray[np.bool_]) -> dict[str, Any]:
-        if not self.session.images:
-            return {}
-        info: dict[str, Any] = {c: np.full(self.num_envs, None, dtype=object) for c in self.session.images.cameras}
-        for i in np.flatnonzero(mask).tolist():
-            for camera, path in self.session.image_paths(i).items():
-                info[camera][i] = path and str(path)
-        return {"images": masked(info, mask.copy()), "_images": mask.copy()}
+    def _coming_info(self, mask: NDArray[np.bool_]) -> dict[str, Any]:
+        """Images and faults of the steps to be decided next, where ``mask`` is True."""
+        info: dict[str, Any] = {}
+        if self.session.images:
+            images: dict[str, Any] = {c: np.full(self.num_envs, None, object) for c in self.session.images.cameras}
+            for i in np.flatnonzero(mask).tolist():
+                for camera, path in self.session.image_paths(i).items():
+                    images[camera][i] = path and str(path)
+            info |= {"images": masked(images, mask.copy()), "_images": mask.copy()}
+        if faults := self.session.faults():
+            nothing = np.full(self.num_envs, None, object)
+            told = {expert: np.where(mask, names, nothing) for expert, names in faults.items()}
+            info |= {"faults": masked(told, mask.copy()), "_faults": mask.copy()}
+        return info
 
     def _listed(self, observation: Any, truncated: NDArray[np.bool_]) -> NDArray[Any]:
         """Observations of the scenes that ended, one by one in an object array (Gymnasium's ``final_obs``)."""

@@ -12,6 +12,7 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from mixo_env.envs.actions import ActionRule
+from mixo_env.envs.faults import active_faults, read_faults
 from mixo_env.envs.observation import PAPER, RICH, Quantity
 from mixo_env.envs.opening import prepared
 from mixo_env.envs.replay import Replay
@@ -29,11 +30,15 @@ RESET_OPTIONS = ("scene", "reset_mask")
 
 @dataclass(frozen=True)
 class Prepared:
-    """What sessions of equal settings share: the scenes to play, those to train on, and a replay nobody plays."""
+    """What sessions of equal settings share: the scenes to play, those to train on, and a replay nobody plays.
+
+    ``faults``: expert -> names of its faults in every row of the recordings, see ``active_faults``.
+    """
 
     recordings: Recordings
     training: Recordings
     replay: Replay
+    faults: dict[str, NDArray[np.object_]]
 
 
 class Session:
@@ -186,6 +191,20 @@ class Session:
             return {}
         return self.images.paths(int(self.replay.state["scene"][entry]), self.replay.recording_row(entry))
 
+    @property
+    def faulty(self) -> bool:
+        """Whether anybody has a fault in any scene."""
+        return bool(self._prepared.faults)
+
+    def faults(self) -> dict[str, NDArray[np.object_]]:
+        """Expert -> ``(batch,)`` names of its faults in the step to be decided next; only experts that ever fail."""
+        if not self._prepared.faults:
+            return {}
+        state, replay = self.replay.state, self.replay
+        scene = state["scene"]
+        rows = self.recordings.offsets[scene] + state["row"] - replay.starts["first"][scene] + 1
+        return {expert: names[rows] for expert, names in self._prepared.faults.items()}
+
     def _prepare(self) -> Prepared:
         settings = self.settings
         recordings, training = settings.open()
@@ -199,7 +218,8 @@ class Session:
             raise ConfigurationError(f"experts: expected two or more, got {replay.experts}: nothing to mix")
         if not np.isfinite(replay.table[:, TRUTH]).all():
             raise RecordingError("these recordings lack ground truth in some steps: an environment needs it to reward")
-        return Prepared(recordings, training, replay)
+        faults = active_faults(recordings, read_faults(settings.faults), replay.experts)
+        return Prepared(recordings, training, replay, faults)
 
     def _build_replay(self, recordings: Recordings, linear: NDArray[np.float64] | None = None) -> Replay:
         s = self.settings

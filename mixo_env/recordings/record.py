@@ -34,6 +34,7 @@ from mixo_env.experts.monocular.config import MonocularConfig
 from mixo_env.experts.tutorial import TUTORIAL, TutorialConfig
 from mixo_env.nuscenes.scene import CameraCalibration, Scene
 from mixo_env.nuscenes.selections import CAMERAS
+from mixo_env.recordings.camera_faults import CAMERA_FAULTS
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.fitting import with_fits
 from mixo_env.recordings.folder import claimed
@@ -108,6 +109,7 @@ class RecordConfig:
             cameras' images.
         tutorial: settings of TUTORIAL, recorded for every camera; ``None`` leaves it out.
         learned: settings of LEARNED, likewise; everything behind its front end has the settings of ``monocular``.
+        camera_faults: scene -> what is wrong with a camera, noted in the manifest; it decides no value.
     """
 
     cameras: tuple[str, ...] = CAMERAS
@@ -120,6 +122,7 @@ class RecordConfig:
     images: bool = True
     tutorial: TutorialConfig | None = None
     learned: LearnedConfig | None = None
+    camera_faults: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Check names.
@@ -294,6 +297,8 @@ def _assemble(parts: list[Part], config: RecordConfig, version: str, skipped: di
     """One recording with folds, vehicle constants and fits; value hashes are added when it is saved."""
     scenes = with_folds([part.entry for part in parts], config.folds)
     cameras = config.cameras if config.images else ()
+    present = {scene.name for scene in scenes}
+    faults = {name: dict(fault) for name, fault in config.camera_faults.items() if name in present}
     manifest = Manifest(
         data_version=config.data_version or version,
         cameras=cameras,
@@ -308,6 +313,7 @@ def _assemble(parts: list[Part], config: RecordConfig, version: str, skipped: di
             "skipped": dict(sorted(skipped.items())),
             "folds": config.folds,
             "inputs": {part.entry.name: part.inputs for part in parts},
+            **({CAMERA_FAULTS: faults} if faults else {}),
             "broken_images": {part.entry.name: dict(part.broken_images) for part in parts if part.broken_images},
         },
         software=software_versions(),

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 
 from mixo_env.errors import ConfigurationError, unknown
 from mixo_env.nuscenes.selections import ALL_CAMERAS, CAMERAS
@@ -14,7 +14,10 @@ def _check_shares(kind: str, shares: dict[str, float]) -> None:
             raise ConfigurationError(f"{kind} {name} must lie between 0 and 1, got {share:g}: change it")
     total = sum(shares.values())
     if total > 1.0 + 1e-9:
-        raise ConfigurationError(f"the shares of {kind} add up to {total:.3g}, at most 1 is possible: lower some")
+        named = ", ".join(f"{name} {share:g}" for name, share in shares.items() if share)
+        raise ConfigurationError(
+            f"the shares of {kind} add up to {total:.3g}, at most 1 is possible: lower some of {named}"
+        )
 
 
 @dataclass(frozen=True)
@@ -25,7 +28,7 @@ class SituationShares:
     ``standing_cross_traffic``); all others put a difficulty of the paper on the stage on purpose.
     """
 
-    standing: float = 0.06
+    standing: float = 0.05
     """The car hardly moves."""
     standing_cross_traffic: float = 0.04
     """The car waits at a crossing while vehicles pass in front of it."""
@@ -39,10 +42,13 @@ class SituationShares:
     """A dense platoon comes the other way."""
     blank_wall: float = 0.05
     """One windowless wall along a whole side of the way, swept by the front view in a turn."""
-    fast_straight: float = 0.05
+    fast_straight: float = 0.03
     """Straight on at 11 to 14 m/s."""
     tight_turn: float = 0.05
     """A turn at the smallest radius the streets allow."""
+    majority_wrong: float = 0.0
+    """Truck ahead, van behind and a creeping queue on the left at once: three of the paper's four cameras see more of
+    them than of the street."""
 
     def __post_init__(self) -> None:
         _check_shares("situation", self.by_name())
@@ -50,6 +56,26 @@ class SituationShares:
     def by_name(self) -> dict[str, float]:
         """Situation -> share, in the order of the fields."""
         return {entry.name: getattr(self, entry.name) for entry in fields(self)}
+
+
+FAULTS = ("none", "frozen", "black", "dropped", "dirty", "drops", "glare", "exposure", "knocked")
+"""What can be wrong with a camera in every scene of a data set; see :mod:`mixo_env.simulator.picture.faults`."""
+
+
+@dataclass(frozen=True)
+class CameraFault:
+    """One camera of every scene is out of order. Drive, truth, poses and CAN bus stay as they are without."""
+
+    kind: str = "none"
+    """none, frozen, black, dropped, dirty, drops, glare, exposure or knocked."""
+    camera: str | None = None
+    """Which; None: one of the cameras written, drawn for every scene."""
+
+    def __post_init__(self) -> None:
+        if self.kind not in FAULTS:
+            raise ConfigurationError(unknown("camera fault", self.kind, FAULTS))
+        if self.kind == "none" and self.camera is not None:
+            raise ConfigurationError(f"fault camera {self.camera} needs a fault kind: {', '.join(FAULTS[1:])}")
 
 
 @dataclass(frozen=True)
@@ -76,10 +102,14 @@ class SimulationConfig:
     """Share of logs driven in rain (by day)."""
     night: float = 0.08
     """Share of logs driven at night."""
+    low_sun: float = 0.2
+    """Share of the logs by day under a low sun, which stands along the streets."""
     low_texture: float = 0.1
     """Share of logs in a city with many blank walls and little fine texture."""
     situations: SituationShares = field(default_factory=SituationShares)
     """Shares of staged situations."""
+    fault: CameraFault = field(default_factory=CameraFault)
+    """Of one camera in every scene."""
 
     def __post_init__(self) -> None:
         for name, low, high in (
@@ -101,10 +131,38 @@ class SimulationConfig:
                 raise ConfigurationError(unknown("camera", channel, ALL_CAMERAS))
         if not self.cameras or len(set(self.cameras)) != len(self.cameras):
             raise ConfigurationError(f"cameras must be given once each, got {', '.join(self.cameras) or 'none'}")
+        if self.fault.camera is not None and self.fault.camera not in self.cameras:
+            raise ConfigurationError(unknown("fault camera", self.fault.camera, self.cameras))
         _check_shares("weather", {"rain": self.rain, "night": self.night})
         _check_shares("log", {"low_texture": self.low_texture})
+        _check_shares("light", {"low_sun": self.low_sun})
 
     @property
     def logs(self) -> int:
         """Number of logs."""
         return -(-self.scenes // self.scenes_per_log)
+
+
+STAGED = (*(entry.name for entry in fields(SituationShares)), "low_texture", "ordinary")
+"""What :func:`staging` knows: situations, and ordinary drives, through a city of little texture or a usual one."""
+
+
+def staging(config: SimulationConfig, situation: str) -> SimulationConfig:
+    """The same data set with one situation in every scene, and every scene of a log of its own.
+
+    It is day under a high sun, or rain in the share asked for: what is staged is to be the only difficulty.
+
+    Raises:
+        ConfigurationError: for an unknown situation; the line names the nearest.
+    """
+    if situation not in STAGED:
+        raise ConfigurationError(unknown("situation", situation, STAGED))
+    shares = {entry.name: float(entry.name == situation) for entry in fields(SituationShares)}
+    return replace(
+        config,
+        scenes_per_log=1,
+        night=0.0,
+        low_sun=0.0,
+        low_texture=float(situation == "low_texture"),
+        situations=SituationShares(**shares),
+    )

@@ -19,11 +19,14 @@ import numpy as np
 
 from mixo_env.errors import ConfigurationError, DatasetError, unknown
 from mixo_env.files import write_bytes
+from mixo_env.nuscenes.images import read_jpeg
 from mixo_env.nuscenes.scene import ExactPoses
 from mixo_env.nuscenes.writer import scene_tables, write_can_bus, write_json, write_tables
-from mixo_env.simulator.config import SimulationConfig
+from mixo_env.simulator.config import CameraFault, SimulationConfig
 from mixo_env.simulator.drive.scenario import LogPlan, ScenePlan, plan_logs
-from mixo_env.simulator.drive.scenes import blank_sides, pictures, simulate_scene
+from mixo_env.simulator.drive.scenes import SimulatedScene, blank_sides, camera_fault, pictures, shots, simulate_scene
+from mixo_env.simulator.drive.spoiling import Spoiler, encoded
+from mixo_env.simulator.picture.faults import REDRAWN
 
 if TYPE_CHECKING:
     from mixo_env.simulator.picture.render import Renderer
@@ -31,11 +34,11 @@ if TYPE_CHECKING:
 VERSION = "v1.0-mixo"
 """Name of the table folder."""
 
-FORMAT = 4
-"""Raised whenever equal configurations no longer give equal files."""
+NOTE = "simulation.json"
+"""What a folder holds."""
 
-JPEG_QUALITY = 80
-"""With colour at half resolution (4:2:0), as the images of nuScenes."""
+FORMAT = 5
+"""Raised whenever equal configurations no longer give equal files."""
 
 Progress = Callable[[int, int], None]
 
@@ -46,6 +49,7 @@ def simulate(
     workers: int = 1,
     progress: Progress | None = None,
     only: Collection[str] = (),
+    sound: Path | None = None,
 ) -> None:
     """Simulate a data set, or what is still missing of it.
 
@@ -56,9 +60,12 @@ def simulate(
         progress: called with the number of finished scenes and of those asked for whenever that changes.
         only: names of the scenes to do now; empty: all. A scene is the same with or without the others, and a later
             run adds to the folder.
+        sound: finished folder of the same drives without the fault. Its pictures are taken instead of drawn anew, but
+            those of a knocked camera; the files are the same.
 
     Raises:
-        ConfigurationError: the folder holds something else, ``workers`` is not positive, or a scene is unknown.
+        ConfigurationError: the folder holds something else, ``workers`` is not positive, a scene is unknown, or
+            ``sound`` holds other drives.
         OutputError: a file cannot be written (disk full, no permission); a rerun continues.
     """
     if workers < 1:
@@ -70,18 +77,20 @@ def simulate(
             raise ConfigurationError(unknown("scene", name, [scene.name for scene in everything]))
     out = out.absolute()
     _claim(config, out)
+    if sound is not None:
+        _check_sound(config, sound)
     asked = [scene for scene in everything if not only or scene.name in only]
     unfinished = {scene.name for scene in asked if not _part(out, scene).exists()}
     work = [(log, plans) for log in logs if (plans := [scene for scene in log.scenes if scene.name in unfinished])]
     with _reported(out, asked, progress):
         if workers == 1 or len(work) <= 1:
             for log, plans in work:
-                _simulate_log(config, log, plans, out)
+                _simulate_log(config, log, plans, out, sound)
         else:
             from joblib import Parallel, delayed
 
             Parallel(n_jobs=min(workers, len(work)))(
-                delayed(_simulate_log)(config, log, plans, out) for log, plans in work
+                delayed(_simulate_log)(config, log, plans, out, sound) for log, plans in work
             )
     finished = (_part(out, scene) for scene in everything)
     write_tables(out, VERSION, (_read(part) for part in finished if part.exists()))
@@ -89,8 +98,7 @@ def simulate(
 
 def _claim(config: SimulationConfig, out: Path) -> None:
     """Make the folder ours, or make sure that it is."""
-    note = out / "simulation.json"
-    mine = {"format": FORMAT, **json.loads(json.dumps(dataclasses.asdict(config)))}
+    note, mine = out / NOTE, _note(config)
     if not note.exists():
         if out.exists() and (not out.is_dir() or any(out.iterdir())):
             raise ConfigurationError(f"{out} is not an empty folder: choose a new one")
@@ -102,6 +110,29 @@ def _claim(config: SimulationConfig, out: Path) -> None:
         raise ConfigurationError(
             f"{out} holds a simulation with another configuration (different: {names}): choose another folder"
         )
+
+
+def _note(config: SimulationConfig) -> dict[str, Any]:
+    """What a folder tells of itself."""
+    mine = {"format": FORMAT, **json.loads(json.dumps(dataclasses.asdict(config)))}
+    if config.fault.kind == "none":
+        del mine["fault"]  # a sound data set says nothing of faults
+    else:
+        plans = [plan for log in plan_logs(config) for plan in log.scenes]
+        mine["faults"] = {
+            plan.name: {"begin_us": plan.start_us, **fault.note()}
+            for plan in plans
+            if (fault := camera_fault(config, plan))
+        }
+    return mine
+
+
+def _check_sound(config: SimulationConfig, sound: Path) -> None:
+    """Make sure that ``sound`` holds the drives of ``config`` without its fault, to the end."""
+    plans = [plan for log in plan_logs(config) for plan in log.scenes]
+    same = (sound / NOTE).exists() and _read(sound / NOTE) == _note(dataclasses.replace(config, fault=CameraFault()))
+    if not same or not all(_part(sound, plan).exists() for plan in plans):
+        raise ConfigurationError(f"{sound} does not hold these drives with sound cameras: simulate them there first")
 
 
 def _read(path: Path) -> dict[str, Any]:
@@ -116,42 +147,64 @@ def _part(out: Path, scene: ScenePlan) -> Path:
     return out / "parts" / f"{scene.name}.json"
 
 
-def _simulate_log(config: SimulationConfig, log: LogPlan, plans: Sequence[ScenePlan], out: Path) -> None:
+def _simulate_log(
+    config: SimulationConfig, log: LogPlan, plans: Sequence[ScenePlan], out: Path, sound: Path | None
+) -> None:
     """Some scenes of one log; the city is built once, and as all scenes of the log need it."""
     import cv2
 
     cv2.setNumThreads(1)
-    renderer = _renderer(config, log) if config.images else None
+    drawn = config.images and (sound is None or config.fault.kind in REDRAWN)
+    renderer = _renderer(config, log) if drawn else None
     for plan in plans:
-        _simulate_scene(config, log, plan, out, renderer)
+        _simulate_scene(config, (log, plan), out, renderer, sound)
 
 
 def _renderer(config: SimulationConfig, log: LogPlan) -> Renderer:
     """The log's city in its weather."""
+    from mixo_env.simulator.city.land import land_of
     from mixo_env.simulator.city.world import CityPlan, build_world
     from mixo_env.simulator.picture.render import Renderer
 
     walls: dict[str, Any] = {"grain": 0.4, "blank_walls": 0.5} if log.low_texture else {}
-    world = build_world(log.world_seed, CityPlan(blank_sides=blank_sides(config, log), **walls))
-    return Renderer(world, log.weather)
+    land, blank = land_of(log.world_seed), blank_sides(config, log)
+    world = build_world(log.world_seed, CityPlan(blank_sides=blank, low_sun=log.low_sun, land=land, **walls))
+    return Renderer(world, "low sun" if log.low_sun else log.weather)
 
 
 def _simulate_scene(
-    config: SimulationConfig, log: LogPlan, plan: ScenePlan, out: Path, renderer: Renderer | None
+    config: SimulationConfig,
+    which: tuple[LogPlan, ScenePlan],
+    out: Path,
+    renderer: Renderer | None,
+    sound: Path | None,
 ) -> None:
     """Write one scene; its part comes last."""
+    log, plan = which
     simulated = simulate_scene(config, log, plan, out)
-    scene = simulated.scene
-    if renderer is not None:
-        import simplejpeg
-
-        for path, image in pictures(config, log, plan, simulated, renderer):
-            jpeg = simplejpeg.encode_jpeg(image, quality=JPEG_QUALITY, colorspace="RGB", colorsubsampling="420")
-            write_bytes(path, jpeg)
+    scene, fault = simulated.scene, camera_fault(config, plan)
+    if config.images:
+        spoiler = None if fault is None else Spoiler(fault, shots(log, plan, simulated, fault))
+        redrawn = (fault.camera,) if sound is not None and fault is not None else ()
+        if sound is not None:
+            for path in _taken_over(simulated, redrawn if renderer else ()):
+                jpeg = read_jpeg(sound / path.relative_to(out))
+                write_bytes(path, spoiler.spoilt(path, jpeg) if spoiler else jpeg)
+        if renderer is not None:
+            for path, image in pictures(config, log, plan, simulated, renderer, redrawn):
+                jpeg = encoded(image)
+                write_bytes(path, spoiler.spoilt(path, jpeg) if spoiler else jpeg)
     write_can_bus(out, scene.name, simulated.messages)
     if scene.exact is not None:
         write_bytes(out / "exact" / f"{scene.name}.npz", _packed(scene.exact))
     write_json(_part(out, plan), scene_tables(out, scene, simulated.times.sample_us))
+
+
+def _taken_over(simulated: SimulatedScene, redrawn: Sequence[str]) -> Iterator[Path]:
+    """Pictures that are not drawn anew, camera by camera in time order."""
+    for channel, reel in simulated.scene.cameras.items():
+        if channel not in redrawn:
+            yield from reel.image_paths
 
 
 def _packed(exact: ExactPoses) -> bytes:

@@ -123,11 +123,13 @@ def alone(paths: Iterable[Path]) -> dict[str, Numbers]:
 
 
 def simulated_pictures(city: City, per_group: int = 48) -> dict[str, dict[str, Numbers]]:
-    """Single pictures by group: every camera by day, and all cameras in rain, at night and in cities of low texture."""
-    conditions = ("rain", "night", "low texture")
+    """Single pictures by group: every camera by day; all cameras in rain, at night, of low texture, in a low sun."""
+    conditions = ("rain", "night", "low texture", "low sun")
     groups: dict[str, list[Path]] = {group: [] for group in (*(f"{c} day" for c in city.config.cameras), *conditions)}
     for log, plan in city.scenes():
-        kind = log.weather if log.weather != "day" else "low texture" if log.low_texture else "day"
+        kind = log.weather
+        if kind == "day":
+            kind = "low texture" if log.low_texture else "low sun" if log.low_sun else "day"
         for channel in city.config.cameras:
             reel = city.dataset.reel(plan.name, channel)
             group = f"{channel} day" if kind == "day" else kind

@@ -51,7 +51,7 @@ def measure(city: City, figures: Path, strip: bool = True, told: Callable[[str],
     sensors = sensor_summary(city)
     told("pictures")
     return {
-        "configuration": asdict(city.config),
+        "configuration": {name: value for name, value in asdict(city.config).items() if name != "fault"},
         "software": software_versions(),
         "logs": [log_entry(city, number) for number in range(len(city.logs))],
         "situations": {plan.name: plan.situation for _, plan in city.scenes()},
@@ -75,6 +75,7 @@ def log_entry(city: City, number: int) -> dict[str, Any]:
         "log": log.logfile,
         "vehicle": log.vehicle,
         "weather": log.weather,
+        "low_sun": log.low_sun,
         "low_texture": log.low_texture,
         "world_seed": log.world_seed,
         "wheel_radius_m": float(sensors.wheel_radius_m[2:].mean()),

@@ -15,6 +15,7 @@ from docs._pages.data_sheet.images import match_pair, scaled_intrinsic
 from experiments.picture_statistics import read_gray
 from mixo_env.geometry import FloatArray
 from mixo_env.nuscenes.scene import CameraCalibration
+from mixo_env.simulator.city.land import FLAT, Land, land_of
 from mixo_env.simulator.city.streets import BLOCK_M, SIDEWALK_M
 from mixo_env.simulator.city.vehicles import VEHICLE_KINDS, VehicleState
 from mixo_env.simulator.drive.scenario import LogPlan, ScenePlan
@@ -67,14 +68,15 @@ class MoverShares:
     odometry: float
 
 
-def outline(state: VehicleState, calibration: CameraCalibration, pose: CameraPose) -> NDArray[np.int32] | None:
+def outline(
+    state: VehicleState, calibration: CameraCalibration, pose: CameraPose, land: Land = FLAT
+) -> NDArray[np.int32] | None:
     """Convex outline ``(n, 2)`` of a vehicle's box in pixels; ``None`` when it is behind the camera."""
     kind = VEHICLE_KINDS[state.kind]
     body = _CORNERS * (kind.length_m, kind.width_m, kind.height_m)
     c, s = np.cos(state.yaw_rad), np.sin(state.yaw_rad)
-    corners = np.stack(
-        [state.x_m + c * body[:, 0] - s * body[:, 1], state.y_m + s * body[:, 0] + c * body[:, 1], body[:, 2]], axis=1
-    )
+    x, y = state.x_m + c * body[:, 0] - s * body[:, 1], state.y_m + s * body[:, 0] + c * body[:, 1]
+    corners = np.stack([x, y, body[:, 2] + land.height(*land.grid(x, y))], axis=1)
     seen = (corners - pose.position_m) @ pose.rotation_map_from_camera
     points = [seen[k] for k in range(8) if seen[k, 2] >= NEAR_M]
     for a, b in _EDGES:
@@ -88,28 +90,31 @@ def outline(state: VehicleState, calibration: CameraCalibration, pose: CameraPos
     return np.asarray(cv2.convexHull(pixels.round().astype(np.int32))[:, 0], np.int32)
 
 
-def in_sight(position_m: FloatArray, state: VehicleState) -> bool:
+def in_sight(position_m: FloatArray, state: VehicleState, land: Land = FLAT) -> bool:
     """Whether no block of houses stands between a camera and the middle or an end of a vehicle."""
     half_m = 0.5 * VEHICLE_KINDS[state.kind].length_m
     for along in (0.0, half_m, -half_m):
         x, y = state.x_m + along * np.cos(state.yaw_rad), state.y_m + along * np.sin(state.yaw_rad)
         part = np.linspace(0.0, 1.0, 2 + int(np.hypot(x - position_m[0], y - position_m[1])))
-        way = np.stack([position_m[0] + part * (x - position_m[0]), position_m[1] + part * (y - position_m[1])])
+        way_x, way_y = position_m[0] + part * (x - position_m[0]), position_m[1] + part * (y - position_m[1])
+        way = np.stack(land.grid(way_x, way_y))
         inside = np.abs(way - BLOCK_M * np.rint(way / BLOCK_M)) > SIDEWALK_M
         if not inside.all(axis=0).any():
             return True
     return False
 
 
-def mover_mask(states: Sequence[VehicleState], calibration: CameraCalibration, pose: CameraPose) -> NDArray[np.bool_]:
+def mover_mask(
+    states: Sequence[VehicleState], calibration: CameraCalibration, pose: CameraPose, land: Land = FLAT
+) -> NDArray[np.bool_]:
     """``(height, width)`` pixels inside the box of a vehicle that moves and is in sight."""
     mask = np.zeros((calibration.height, calibration.width), np.uint8)
     for state in states:
         distance_m = np.hypot(state.x_m - pose.position_m[0], state.y_m - pose.position_m[1])
         if abs(state.speed_mps) < MOVING_MPS or distance_m > FARTHEST_M:
             continue
-        polygon = outline(state, calibration, pose)
-        if polygon is not None and in_sight(pose.position_m, state):
+        polygon = outline(state, calibration, pose, land)
+        if polygon is not None and in_sight(pose.position_m, state, land):
             cv2.fillConvexPoly(mask, polygon, 1)
     return mask > 0
 
@@ -132,7 +137,7 @@ def image_mask(
     time_s = (exposure_us - plan.start_us) * 1e-6 + 0.5 * weather_named(log.weather).shutter_s
     pose = camera_pose(simulated.drive, calibration.rotation_ego_from_camera, calibration.translation_m, time_s)
     vehicles = [vehicle for vehicle in simulated.vehicles if kind in (None, vehicle.kind)]
-    return mover_mask([vehicle.state(time_s) for vehicle in vehicles], calibration, pose)
+    return mover_mask([vehicle.state(time_s) for vehicle in vehicles], calibration, pose, land_of(log.world_seed))
 
 
 def sights(city: City) -> list[Sight]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from docs._pages.data_sheet import comparison, prose
 from docs._pages.data_sheet.comparison import Differences, number
-from docs._pages.data_sheet.motion import motion_statistics, recorded_intervals, recorded_paths
+from docs._pages.data_sheet.motion import motion_samples, motion_statistics, recorded_intervals, recorded_paths
 from docs._pages.data_sheet.outcomes import (
     PAPER_BEST_FRONT,
     PAPER_BEST_OTHERS,
@@ -24,6 +24,7 @@ from docs._pages.data_sheet.outcomes import (
     yaw_errors,
 )
 from docs._pages.data_sheet.shares_section import shares_section
+from experiments.mixocity import DATA_VERSION
 from mixo_env.errors import ConfigurationError
 from mixo_env.leaderboard.firing_order import best_shares
 from mixo_env.recordings.collection import Recordings
@@ -60,7 +61,7 @@ def page(recordings: Recordings, measured: Stored, real: Stored, study: Stored |
     differences = Differences()
     beside = _beside_real(recordings, measured, real, differences)  # finds the differences that are listed later
     sections = [
-        prose.HEAD.format(data=recordings.manifest.data_version),
+        prose.HEAD.format(data=recordings.manifest.data_version) + _older(recordings.manifest.data_version),
         _how_made(recordings, measured),
         _sights(measured),
         beside,
@@ -69,6 +70,12 @@ def page(recordings: Recordings, measured: Stored, real: Stored, study: Stored |
         shares_section(study),
     ]
     return "\n\n".join(section.strip() for section in sections) + "\n"
+
+
+def _older(data_version: str) -> str:
+    """A paragraph where the simulator has gone on since the recordings."""
+    present = f"mixocity-{DATA_VERSION}"
+    return "" if data_version == present else prose.OLDER.format(data=data_version, present=present)
 
 
 def table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
@@ -102,6 +109,7 @@ def _how_made(recordings: Recordings, measured: Stored) -> str:
             table(["situation", "share asked for", "scenes"], shares),
             prose.LOGS,
             _logs(recordings, measured),
+            prose.EFFECTS.strip(),
         ]
     )
 
@@ -120,7 +128,9 @@ def _logs(recordings: Recordings, measured: Stored) -> str:
                 log["log"],
                 f"{scenes[0][-4:]} to {scenes[-1][-4:]}" if len(scenes) > 1 else scenes[0][-4:],
                 "ood" if fold == OUT_OF_DISTRIBUTION else str(fold),
-                log["weather"] + (", low texture" if log["low_texture"] else ""),
+                log["weather"]
+                + (", low sun" if log.get("low_sun") else "")
+                + (", low texture" if log["low_texture"] else ""),
                 ", ".join(name for name in staged if name != "ordinary") or "-",
                 number(log["wheel_radius_m"], 4),
                 number(log["course_offset_deg"], 2),
@@ -170,6 +180,7 @@ def _beside_real(recordings: Recordings, measured: Stored, real: Stored, differe
             comparison.pairs_table(measured["pairs"], real["pairs"], differences),
             prose.MOTION.format(frames=int(sum(len(path.x_m) for path in paths)), scenes=len(paths)),
             comparison.motion_table(motion, real["motion"], differences),
+            comparison.distances_table(motion_samples(paths), real["motion"], differences),
             comparison.shares_table(motion["shares"], real["motion"]["shares"], differences),
             f"![Distributions of the motion]({FIGURES}/motion.png)",
             prose.INTERVALS,

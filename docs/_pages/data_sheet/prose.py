@@ -10,6 +10,12 @@ works without data and results on it are worth something. It is simulated: claim
 recordings.
 """
 
+OLDER = """
+**The simulator has gone on since.** `{data}` was rendered before there were people, drops on the lens, a low sun,
+underpasses, bends, hills and roundabouts, and its drives were dealt from 135 real trajectories. Figures and pictures
+below are of `{data}`, words are of the present simulator; `make mixocity` makes `{present}`, 344 scenes of it.
+"""
+
 HOW_MADE = """## How it was made
 
 `make mixocity` does everything, resumable; stage by stage it is `python -m experiments.mixocity`. In short:
@@ -17,16 +23,37 @@ HOW_MADE = """## How it was made
 1. **Plan.** A configuration and a seed decide logs, weather, rigs, sensors and situations before anything is driven
    (`mixo_env/simulator/drive/scenario.py`). Equal configurations give equal files, whatever the number of workers.
 2. **Drive.** A route through a street grid, a speed profile within limits of acceleration and jerk, a body that
-   pitches, rolls, heaves and slips, and other vehicles around it (`drive`, `routes`, `traffic`).
+   pitches, rolls, heaves and slips, other vehicles, and people on foot and on bicycles around it (`drive`, `routes`,
+   `traffic`, `people`).
 3. **Sense.** CAN messages with the noise, bias, latency and gaps of the real car (`vehicle_bus`), written poses
    with the wandering of a real localisation (`localisation`), written calibrations and time stamps with small
    errors (`rig`, `clock`). The noise-free truth is kept apart, and both scores are shown.
 4. **See.** Each log has a city of its own, rendered through four of the six nuScenes cameras (`world`, `render`,
-   `sensor`).
+   `sensor`), with what [lens, light and people](#lens-light-and-people) do.
 5. **Record.** The project's experts run over the images once (`mixo record`). Only the recordings are shipped.
 
 Calibrated were pictures, motion and CAN bus, against the real figures below and nothing else: neither expert
 failures nor shares of locally best cameras nor the order of methods were looked at while the simulator was set.
+"""
+
+EFFECTS = """### Lens, light and people
+
+Each follows a description that others have measured; none was set by what it does to an odometry.
+
+* **People** walk at 1.3 ± 0.2 m/s (Bohannon and Andrews 2011) on pavements and over crossings, where they wait until no
+  vehicle comes; one in five stands. Limbs have the proportions of Drillis and Contini (1966) and swing as in level
+  walking (Perry and Burnfield 2010), in 16 poses a cycle that advance with the way. Cyclists ride at 4 to 6 m/s along
+  the edge of the carriageway. By day about 7 people are around the car, as in a key frame of nuScenes (Caesar et al.
+  2020), half as many in rain, a third at night.
+* **Drops on the lens** in rain arrive as Marshall and Palmer (1948) count them at 4 mm/h, grow where they meet, run
+  down when they become too heavy, and stay in place between images otherwise. How soft and how opaque they look follows
+  from the distance of the glass and the opening of the lens; inside, they show the surroundings upside down (Garg and
+  Nayar 2007). A wiper clears the glass before CAM_FRONT every 1.2 s; the other cameras have none.
+* **A low sun** (7 to 16 degrees, along the streets) shines on a fifth of the logs by day. Lens and glass scatter 4 % of
+  its light with the square of the angle (Vos and van den Berg 1999; Talvala et al. 2007): bloom and clipped sky around
+  it, a grey veil over the rest, weak ghosts. Where a house hides the sun the veil is gone.
+* **Underpasses** of 14 to 28 m lie over some streets. Light inside is what both ends let in (view factors). The
+  exposure follows with a time constant of 0.3 s, as at every change of light: too dark going in, too bright coming out.
 """
 
 LOGS = """Every log is one drive of one of two cars through a city of its own. Wheel radius: mean of the rear axle;
@@ -41,10 +68,10 @@ low texture the barest."""
 BESIDE = """## Beside real data
 
 Real figures are computed by the same code from real files (KITTI odometry 06; one nuScenes key frame of six
-pictures; the CAN bus of four nuScenes scenes) or, for motion, taken from 135 trajectories of nuScenes' validation
-split. **Bold** figures lie outside their band. Motion: within {relative:.0f} % of the real figure or a small absolute
-difference (0.5 m/s, 0.5 deg/s, 0.15 m/s², 10 m, 10 deg, 0.05 of a share). Everything else: within the range of the
-real values, widened on both sides by {widened:.0f} % of its width.
+pictures; the CAN bus of four nuScenes scenes) or, for motion, taken from all 850 drives of nuScenes. **Bold** figures
+lie outside their band. Motion: within {relative:.0f} % of the real figure or a small absolute difference (0.5 m/s,
+0.5 deg/s, 0.15 m/s², 10 m, 10 deg, 0.05 of a share). Everything else: within the range of the real values, widened on
+both sides by {widened:.0f} % of its width.
 """
 
 PICTURES = """### Single pictures
@@ -64,8 +91,10 @@ of 633 px."""
 MOTION = """### Motion
 
 {frames:,} written poses of {scenes} scenes. As on the real side twelve frames count as one second, and windows that
-start at any frame are pooled. Quantiles of single scenes rest on few values: the outermost ones are nearly
-extremes."""
+start at any frame are pooled. Each scene is dealt a path and a heading change from the real quantiles (stratified: of
+n moving scenes every n-th part of the distribution gets one) and is cut where a longer drive does just that; speeds,
+turning rates and accelerations within the scene come from the driver. Quantiles of single scenes rest on few values:
+the outermost ones are nearly extremes. Distances are taken at the known quantiles of the real distribution."""
 
 INTERVALS = """### Frame intervals
 
@@ -81,16 +110,18 @@ radii: among the four wheels, which turning contributes to. `production` is an a
 
 DIFFERENCES = """Beyond figures:
 
-* Nobody walks or cycles; traffic lights stand at the corners but rule nobody. Vehicles are of four kinds and leave
-  their lane only to pass one that stands in it.
-* Streets form a grid of straight, level roads with right-hand traffic: no bends, hills, bridges, tunnels or
-  motorways, and one style of architecture. Gentle turns come from passing vehicles and from wandering in the lane.
+* Traffic lights stand at the corners but rule nobody. Vehicles are of four kinds and leave their lane only to pass one
+  that stands in it or the island of a roundabout. People keep straight on and away from vehicles; nobody runs, pushes
+  a pram or carries an umbrella.
+* Streets form a bent grid on hills of at most 6 % grade, with right-hand traffic and one kind of roundabout, a small
+  one with nothing painted on the road: no long tunnels or motorways, and one style of architecture. Written poses are
+  flat, as those of nuScenes; pictures, wheels and the accelerometer know the slope. Houses stand level with their
+  foundations in the slope.
 * The lens is a pinhole without distortion (nuScenes images are undistorted as well), the shutter is global.
-* In rain the road mirrors what the picture shows and vehicles throw up spray; no drops fall and none stick to the
-  lens.
+* In rain the road mirrors what the picture shows, vehicles throw up spray and drops stick to the glass; falling drops
+  and the wiper's blade are not seen.
 * Only the body's motion shakes the cameras; the rig does not bend.
-* Paints, facades and vehicle shapes repeat between logs, in other places and other light; lettering on one side of
-  trucks and on the backs of signs is mirrored.
+* Paints, facades and vehicle shapes repeat between logs, in other places and other light.
 * Two cars, whose constants vary from log to log; real fleets differ more.
 """
 

@@ -1,7 +1,8 @@
 """The real side of the sheet: computed from a folder of real data when there is one, else what was stored of it.
 
-Only figures of our own are stored (``real.json``), never data. The folder holds ``nuscenes_motion_statistics.json``,
-``nuscenes_can_bus/``, ``nuscenes_keyframe_6cam/`` and ``kitti_06/``.
+Only figures of our own are stored (``real.json``), never data. The folder holds ``nuscenes_motion_850.json`` (all
+drives), ``nuscenes_motion_statistics.json`` (135 of them, with their frames), ``nuscenes_can_bus/``,
+``nuscenes_keyframe_6cam/`` and ``kitti_06/``.
 """
 
 from __future__ import annotations
@@ -30,23 +31,11 @@ def real_statistics(data: Path) -> dict[str, Any]:
     """Everything real that the sheet prints."""
     own = json.loads((data / "nuscenes_motion_statistics.json").read_text())
     motion, intervals = own["motion"], own["frame_intervals"]
-    shares = {"time_below_0p2_mps": motion["share_of_time_below_0p2_mps"]["speed_over_1s"]}
-    shares |= {
-        name.removeprefix("share_of_"): value
-        for name, value in motion.items()
-        if name.startswith("share_of_scenes") and not isinstance(value, dict)
-    }
-    shares |= {f"scenes_at_least_{m}_m": value for m, value in motion["share_of_scenes_at_least_m"].items()}
     per_scene = {int(frames): scenes for frames, scenes in motion["rows_per_scene"].items()}
     frames = sorted(frames for frames, scenes in per_scene.items() for _ in range(scenes))
     can_bus = data / "nuscenes_can_bus"
     return {
-        "motion": {
-            name: {key: float(number) for key, number in value.items() if key.startswith("p") or key in ("mean", "n")}
-            for name, value in motion.items()
-            if isinstance(value, dict) and "p50" in value
-        }
-        | {"shares": shares},
+        "motion": real_motion(data),
         "intervals": {
             "frames": _interval(intervals["both_scenes_CAM_FRONT"]),
             "keyframes": _interval(intervals["keyframes_ten_mini_scenes"]),
@@ -59,6 +48,16 @@ def real_statistics(data: Path) -> dict[str, Any]:
         "sensors": {scene: sensor_statistics(can_bus, scene) for scene in sorted(scenes_with_can_bus(can_bus))},
         "pictures": real_pictures(data),
         "pairs": real_pairs(data),
+    }
+
+
+def real_motion(data: Path) -> dict[str, dict[str, float]]:
+    """Quantiles of all 850 drives, named as :func:`motion_statistics` does."""
+    known = json.loads((data / "nuscenes_motion_850.json").read_text())
+    return {
+        name: {key: float(value) for key, value in entry.items() if key != "max"}
+        for name, entry in known.items()
+        if isinstance(entry, dict)
     }
 
 

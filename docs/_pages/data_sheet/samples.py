@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 
 from docs._pages.data_sheet.folder import City
-from docs._pages.data_sheet.motion import PERCENTILES, Numbers, forward_speed_mps
+from docs._pages.data_sheet.motion import PERCENTILES, Numbers, motion_samples
 from docs._pages.data_sheet.motion import Path as Way
 from docs._pages.data_sheet.movers import EVERY, MoverShares, Sight, matched_sight, scene_sights
 from experiments.picture_statistics import read_gray
@@ -83,6 +83,7 @@ cover most, or the middle of the sharpest turn."""
 
 CONDITIONS: dict[str, tuple[str, str, Choice, Callable[[LogPlan], bool]]] = {
     "low_texture": ("Low texture", "CAM_BACK_RIGHT", _barest, lambda log: log.low_texture and log.weather == "day"),
+    "low_sun": ("Low sun", "CAM_FRONT", _middle, lambda log: log.low_sun),
     "rain": ("Rain", "CAM_FRONT", _middle, lambda log: log.weather == "rain"),
     "night": ("Night", "CAM_FRONT", _middle, lambda log: log.weather == "night"),
 }
@@ -187,24 +188,16 @@ def draw_motion(paths: Sequence[Way], real: dict[str, Numbers], path: Path) -> N
     """Cumulative distributions of the simulated motion, with the quantiles of the real one."""
     from matplotlib.figure import Figure
 
-    speeds = [forward_speed_mps(way) for way in paths]
+    samples = motion_samples(paths)
     panels = {
-        "speed over 1 s [m/s]": ("speed_1s_mps", np.concatenate(speeds)),
-        "|yaw rate| over 1 s [deg/s]": (
-            "abs_yaw_rate_1s_degps",
-            np.degrees(np.abs(np.concatenate([way.yaw_rad[12:] - way.yaw_rad[:-12] for way in paths]))),
-        ),
-        "acceleration over 1 s [m/s²]": (
-            "longitudinal_accel_1s_mps2",
-            np.concatenate([speed[12:] - speed[:-12] for speed in speeds]),
-        ),
-        "path per scene [m]": (
-            "path_length_per_scene_m",
-            np.array([np.hypot(np.diff(way.x_m), np.diff(way.y_m)).sum() for way in paths]),
-        ),
+        "speed over 1 s [m/s]": "speed_1s_mps",
+        "|yaw rate| over 1 s [deg/s]": "abs_yaw_rate_1s_degps",
+        "acceleration over 1 s [m/s²]": "longitudinal_accel_1s_mps2",
+        "path per scene [m]": "path_length_per_scene_m",
     }
     figure = Figure(figsize=(9.6, 2.6), layout="constrained")
-    for axes, (label, (name, values)) in zip(figure.subplots(1, 4, sharey=True), panels.items(), strict=True):
+    for axes, (label, name) in zip(figure.subplots(1, 4, sharey=True), panels.items(), strict=True):
+        values = samples[name]
         axes.plot(np.sort(values), np.linspace(0.0, 100.0, len(values)), color="#4477aa", label="simulated")
         quantiles = [real[name][f"p{p}"] for p in PERCENTILES]
         axes.plot(quantiles, PERCENTILES, "o", color="#cc3311", markersize=4, label="real quantiles")

@@ -14,7 +14,9 @@ from pathlib import Path
 from docs._pages.play.drive import drive_json, telling_drive
 from docs._pages.play.page import page
 from docs._pages.play.pictures import camera_sheets
+from mixo_env.errors import ConfigurationError
 from mixo_env.files import write_text
+from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.store import load_recordings
 
 
@@ -39,17 +41,26 @@ class Play:
         recordings = load_recordings(self.recordings)
         scene = self.scene or telling_drive(recordings, self.track)
         drive = drive_json(recordings, scene, self.track)
-        drive["pictures"] = camera_sheets(recordings, scene, self.dataroot or _simulated(scene))
+        drive["pictures"] = camera_sheets(recordings, scene, self.dataroot or _simulated(recordings, scene))
         write_text(self.out, page(drive))
         print(f"wrote {self.out}: {scene}, {self.out.stat().st_size / 1e6:.2f} MB")
         return 0
 
 
-def _simulated(scene: str) -> Path:
-    """The city of the bundled recordings, with this scene in it."""
-    from experiments.mixocity import CONFIG, Build
+def _simulated(recordings: Recordings, scene: str) -> Path:
+    """The city of the bundled recordings, with this scene in it.
+
+    Raises:
+        ConfigurationError: when this simulator makes other drives than those recorded.
+    """
+    from experiments.mixocity import CONFIG, DATA_VERSION, Build
     from mixo_env.simulator.dataset import simulate
 
+    if recordings.manifest.data_version != f"mixocity-{DATA_VERSION}":
+        raise ConfigurationError(
+            f"this simulator makes the drives of mixocity-{DATA_VERSION}, the recordings are "
+            f"{recordings.manifest.data_version}: give the folder that was recorded with --dataroot"
+        )
     city = Build().cache / "city"
     simulate(CONFIG, city, only=(scene,))
     return city

@@ -62,8 +62,13 @@ def _reliefs(materials: Materials, rng: np.random.Generator, x: Pair, front: flo
     return patches
 
 
-def house(materials: Materials, rng: np.random.Generator, x: Pair, y: Pair, storeys: int) -> tuple[Mesh, float]:
-    """A house on the plot ``x`` by ``y`` (y[0] is the street front) and its height in metres."""
+def house(
+    materials: Materials, rng: np.random.Generator, x: Pair, y: Pair, storeys: int, bare: bool = False
+) -> tuple[Mesh, float]:
+    """A house on the plot ``x`` by ``y`` (y[0] is the street front) and its height in metres.
+
+    A ``bare`` one is the same, but nothing stands out of its front: an underpass lies before it.
+    """
     wall = _tinted(_one(materials.facades, rng), rng, 0.75, 1.2)
     height = STOREY_M * storeys + float(rng.choice([0.0, 0.6]))
     ground_floor = 0.0
@@ -82,7 +87,8 @@ def house(materials: Materials, rng: np.random.Generator, x: Pair, y: Pair, stor
     hut = float(rng.uniform(x[0], x[1] - 2.5))
     plan = (hut, hut + 2.2), (y[0] + 3.0, y[0] + 5.0)
     patches += box(materials.walls[0], materials.roof, *plan, (height, height + 2.4), rng)
-    patches += _reliefs(materials, rng, x, y[0], height)
+    reliefs = _reliefs(materials, rng, x, y[0], height)
+    patches += [] if bare else reliefs
     return mesh_of(patches), height
 
 
@@ -155,10 +161,15 @@ def street_lamp(materials: Materials, rng: np.random.Generator) -> Mesh:
 
 
 def traffic_sign(materials: Materials, rng: np.random.Generator) -> Mesh:
-    """A plate on a pole at the origin, facing along the street."""
-    plate = Surface(_one(materials.signs, rng), (183.0, 183.0), detail=0.2, shape=TWO_SIDED)
+    """A plate on a pole at the origin; it faces (+x) whoever drives along the near side, in right-hand traffic.
+
+    The back is bare metal: lettering is never seen through the plate.
+    """
+    plate = Surface(_one(materials.signs, rng), (183.0, 183.0), detail=0.2)
     pole = box(materials.metal, None, (-0.04, 0.04), (-0.04, 0.04), (0.0, 2.9), rng)
-    return mesh_of([*pole, quad(plate, (0.05, 0.35, 2.9), (0.0, -0.7, 0.0), (0.0, 0.0, -0.7))])
+    front = quad(plate, (0.05, -0.35, 2.9), (0.0, 0.7, 0.0), (0.0, 0.0, -0.7))
+    back = quad(materials.metal, (0.05, 0.35, 2.9), (0.0, -0.7, 0.0), (0.0, 0.0, -0.7))
+    return mesh_of([*pole, front, back])
 
 
 def street_box(materials: Materials, rng: np.random.Generator) -> Mesh:

@@ -14,6 +14,9 @@ from mixo_env.simulator.city.textures import Atlas, Floats, foliage, plain, rgba
 KERB_M = 0.12
 """Height of the pavement above the road."""
 
+STRIPES_SIDE = 64
+"""Texels of one period of striped surfaces: half in the first colour, half in the second."""
+
 _LEAF_SIDE = 256
 _GREENS = np.array([(70, 104, 48), (88, 118, 52), (58, 88, 44), (112, 116, 56), (84, 100, 66)], np.float32)
 
@@ -38,7 +41,7 @@ class Materials:
     ground: Surface
 
 
-def _stripes(rng: np.random.Generator, first: float, second: float, side: int = 64) -> Floats:
+def _stripes(rng: np.random.Generator, first: float, second: float, side: int = STRIPES_SIDE) -> Floats:
     image = np.full((side, side, 3), first, np.float32)
     image[:, side // 2 :] = second
     return image * (1.0 + 0.06 * spectral_noise(side, side, 1.0, rng))[..., None]
@@ -81,7 +84,7 @@ def city_materials(
 
     some = max(1, variety // 3)
     red_white = _stripes(rng, 225.0, 225.0)
-    red_white[:, 32:] *= (0.85, 0.25, 0.12)
+    red_white[:, STRIPES_SIDE // 2 :] *= (0.85, 0.25, 0.12)
     bulb = rgba(np.full((64, 64, 3), 235.0, np.float32), 255.0)
     return Materials(
         facades=tuple(surface(atlas.add(facade(rng)), FACADE_TEXELS_PER_M, 2.1, 1.0, 1.0) for _ in range(variety)),

@@ -1,10 +1,15 @@
-"""Where the sun does not reach: a picture of the ground, and a height field of the houses' shadow above it."""
+"""Where the sun does not reach: a picture of the ground, and a height field of the houses' shadow above it.
+
+The picture lies on the street grid, as the texture of the ground does, and bends with it; the field lies on the map.
+"""
 
 from __future__ import annotations
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+
+from mixo_env.simulator.city.land import FLAT, Land
 
 EXTENT_M = 1024.0
 """Both maps cover the square of this side around the origin."""
@@ -18,15 +23,16 @@ class Shadows:
 
     Args:
         sun: ``(3,)`` unit vector towards the sun, above the horizon.
+        land: that the shadows fall on.
     """
 
-    def __init__(self, sun: NDArray[np.float64]) -> None:
+    def __init__(self, sun: NDArray[np.float64], land: Land = FLAT) -> None:
         self.sun = sun
-        self._shift = -sun[:2] / sun[2]  # metres on the ground per metre of height
+        self._land = land
         side = int(EXTENT_M * PICTURE_TEXELS_PER_M)
         self._picture = np.full((side, side), 255, np.uint8)
         side = int(EXTENT_M * FIELD_TEXELS_PER_M)
-        self._height = np.zeros((side, side), np.float32)
+        self._height = _heights(land, side)
 
     def _fill(self, outline: NDArray[np.float64]) -> None:
         points = (outline + 0.5 * EXTENT_M) * PICTURE_TEXELS_PER_M - 0.5
@@ -36,22 +42,35 @@ class Shadows:
         """Shadow of a convex upright body over the ground plan ``outline`` (n, 2).
 
         Args:
-            outline: map frame, metres.
+            outline: street grid, metres.
             height_m: of its top.
             floor_m: of its underside.
             field: whether it also shades walls and vehicles.
         """
-        points = np.vstack([outline + self._shift * floor_m, outline + self._shift * height_m])
+        points = np.vstack([self._thrown(outline, floor_m), self._thrown(outline, height_m)])
         self._fill(cv2.convexHull(points.astype(np.float32))[:, 0].astype(np.float64))
         if field:
-            low = ((outline.min(axis=0) + 0.5 * EXTENT_M) * FIELD_TEXELS_PER_M).round().astype(int)
-            high = ((outline.max(axis=0) + 0.5 * EXTENT_M) * FIELD_TEXELS_PER_M).round().astype(int)
+            plan = (np.stack(self._land.map(*outline.T), axis=1) + 0.5 * EXTENT_M) * FIELD_TEXELS_PER_M
+            low = np.maximum(np.floor(plan.min(axis=0)).astype(int), 0)
+            high = np.ceil(plan.max(axis=0)).astype(int)
             tile = self._height[low[1] : high[1], low[0] : high[0]]
-            np.maximum(tile, np.float32(height_m), out=tile)
+            rows, columns = (low[i] + 0.5 + np.arange(tile.shape[1 - i]) for i in (1, 0))
+            top = np.float32(height_m + float(self._land.height(*outline.mean(axis=0))))
+            tile[_inside(plan, columns, rows) & (tile < top)] = top
+
+    def _thrown(self, points: NDArray[np.float64], height_m: float) -> NDArray[np.float64]:
+        """Where the shadow of points ``(n, 2)`` at that height over the grid falls on the grid."""
+        if height_m == 0.0:
+            return points
+        rise_x, rise_y = self._land.rise(*points.T)
+        per_m = 1.0 / (self.sun[2] - rise_x * self.sun[0] - rise_y * self.sun[1])
+        x, y = self._land.map(*points.T)
+        at = self._land.grid(x - height_m * per_m * self.sun[0], y - height_m * per_m * self.sun[1])
+        return np.stack(at, axis=1)
 
     def crown(self, x_m: float, y_m: float, z_m: float, radius_m: float, rng: np.random.Generator) -> None:
         """Dappled shadow of a tree."""
-        centres = (x_m, y_m) + self._shift * z_m + rng.normal(0.0, 0.5 * radius_m, (26, 2))
+        centres = self._thrown(np.array([[x_m, y_m]]), z_m) + rng.normal(0.0, 0.5 * radius_m, (26, 2))
         texels = np.round(((centres + 0.5 * EXTENT_M) * PICTURE_TEXELS_PER_M - 0.5) * 16).astype(int).tolist()
         radii = (rng.uniform(0.2, 0.5, 26) * PICTURE_TEXELS_PER_M * 16).astype(int).tolist()
         for texel, radius in zip(texels, radii, strict=True):
@@ -72,7 +91,7 @@ class Shadows:
         sink = 0.5 * float(self.sun[2]) / flat
         field = self._height.copy()
         reach = 1
-        while reach * sink < float(self._height.max()):
+        while reach * sink < float(np.ptp(self._height)):
             dx, dy = np.round(reach * towards).astype(int).tolist()
             side = len(field)
             ys, xs = slice(max(0, -dy), side - max(0, dy)), slice(max(0, -dx), side - max(0, dx))
@@ -82,3 +101,21 @@ class Shadows:
             field = reached
             reach *= 2
         return field
+
+
+def _heights(land: Land, side: int) -> NDArray[np.float32]:
+    """Height of the ground over the map; it is smooth, so a coarse raster is enough."""
+    coarse = 256
+    centres = (np.arange(coarse, dtype=np.float64) + 0.5) * (EXTENT_M / coarse) - 0.5 * EXTENT_M
+    heights = land.height(*land.grid(*np.meshgrid(centres, centres))).astype(np.float32)
+    return np.asarray(cv2.resize(heights, (side, side), interpolation=cv2.INTER_LINEAR), np.float32)
+
+
+def _inside(outline: NDArray[np.float64], x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Which points of the raster ``x`` by ``y`` lie in a convex outline, ``(len(y), len(x))``."""
+    ends = np.roll(outline, -1, axis=0)
+    area = np.sum(outline[:, 0] * ends[:, 1] - ends[:, 0] * outline[:, 1])
+    inside = np.ones((len(y), len(x)), np.bool_)
+    for (x0, y0), (x1, y1) in zip(outline, ends, strict=True):
+        inside &= np.sign(area) * ((x1 - x0) * (y[:, None] - y0) - (y1 - y0) * (x[None, :] - x0)) >= 0.0
+    return inside

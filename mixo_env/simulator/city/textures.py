@@ -77,13 +77,21 @@ def rgba(colour: NDArray[np.floating], fourth: NDArray[np.floating] | float = 0.
     return out
 
 
+def _font(text: str) -> int:
+    return (cv2.FONT_HERSHEY_SIMPLEX, cv2.FONT_HERSHEY_DUPLEX, cv2.FONT_HERSHEY_TRIPLEX)[len(text) % 3]
+
+
+def lettering_width(text: str, size: float, bold: int = 1) -> int:
+    """Columns that ``write`` covers."""
+    return cv2.getTextSize(text, _font(text), size, bold)[0][0]
+
+
 def write(
     image: Floats, text: str, origin: tuple[int, int], size: float, colour: NDArray[np.floating], bold: int = 1
 ) -> None:
     """Draw ``text`` into ``image`` (h, w, 3). OpenCV 5 writes into bytes only, hence the mask."""
     mask = np.zeros(image.shape[:2], np.uint8)
-    font = (cv2.FONT_HERSHEY_SIMPLEX, cv2.FONT_HERSHEY_DUPLEX, cv2.FONT_HERSHEY_TRIPLEX)[len(text) % 3]
-    cv2.putText(mask, text, origin, font, size, 255, bold, cv2.LINE_AA)
+    cv2.putText(mask, text, origin, _font(text), size, 255, bold, cv2.LINE_AA)
     share = (mask / np.float32(255.0))[..., None]
     image[:] = image * (1.0 - share) + np.asarray(colour, np.float32) * share
 

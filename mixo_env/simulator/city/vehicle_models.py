@@ -9,8 +9,18 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from mixo_env.simulator.city.mesh import CUT_OUT, SHADE, TWO_SIDED, Mesh, Surface, mesh_of, quad
-from mixo_env.simulator.city.textures import WORDS, Atlas, Bytes, Floats, plain, rgba, spectral_noise, write
+from mixo_env.simulator.city.mesh import CUT_OUT, SHADE, Mesh, Surface, mesh_of, quad
+from mixo_env.simulator.city.textures import (
+    WORDS,
+    Atlas,
+    Bytes,
+    Floats,
+    lettering_width,
+    plain,
+    rgba,
+    spectral_noise,
+    write,
+)
 from mixo_env.simulator.city.vehicles import COLOURS, VEHICLE_KINDS
 
 _PAINTS = np.array(
@@ -131,8 +141,30 @@ class _Frame(NamedTuple):
         return (16 * np.stack([column, row], axis=1)).astype(np.int32)
 
 
-def _side(rng: np.random.Generator, kind: str, paint: NDArray[np.float32]) -> tuple[Bytes, float]:
-    """Picture of the left side (front to the left as seen by the viewer), 512 texels long, and its texels per metre."""
+class _Lettering(NamedTuple):
+    """A name on a vehicle's side: what, column at which it starts on the left side, row of its foot, size, colour."""
+
+    text: str
+    column: int
+    row: int
+    size: float
+    colour: NDArray[np.float64]
+
+    def on(self, image: Floats, flipped: bool) -> None:
+        """Write it so that it ends before the tail; ``flipped``: at the same place of the right side."""
+        room = image.shape[1] - self.column - 8
+        size = self.size * min(1.0, room / lettering_width(self.text, self.size, 4))
+        wide = lettering_width(self.text, size, 4)
+        start = image.shape[1] - self.column - wide if flipped else self.column
+        write(image, self.text, (start, self.row), size, self.colour, 4)
+
+
+def _sides(rng: np.random.Generator, kind: str, paint: NDArray[np.float32]) -> tuple[Bytes, Bytes, float]:
+    """Pictures of the left side (front to the left as seen by the viewer) and of the right one (front to the right).
+
+    They are 512 texels long and mirror each other but for lettering, which reads from left to right on both. The
+    third value is their texels per metre.
+    """
     shape, size = _SHAPES[kind], VEHICLE_KINDS[kind]
     frame = _Frame(0.5 * size.length_m, size.height_m, 512.0 / size.length_m)
     height = 256
@@ -145,8 +177,9 @@ def _side(rng: np.random.Generator, kind: str, paint: NDArray[np.float32]) -> tu
     cv2.fillPoly(covered, [frame.outline(shape.profile)], 255, cv2.LINE_8, 4)
     sill = frame.at(0.0, 0.48 + 0.2 * (kind == "truck"))[1]
     image[sill:] = 28.0
+    name: _Lettering | None = None
     if kind == "truck":
-        _load_box(image, rng, paint * rows[:sill], rows[:sill], frame.at(2.32, 0.0)[0])
+        name = _load_box(image, rng, paint * rows[:sill], rows[:sill], frame.at(2.32, 0.0)[0])
     for window in shape.windows:
         pane = frame.outline(window)
         _window(image, pane)
@@ -156,7 +189,7 @@ def _side(rng: np.random.Generator, kind: str, paint: NDArray[np.float32]) -> tu
         cut = frame.at(-0.1, 0.0)[0]
         image[20:sill, cut : cut + 2] *= 0.4
         if rng.random() < 0.6:
-            write(image, str(rng.choice(WORDS)), (frame.at(-0.3, 0.0)[0], 120), 1.6, rng.uniform(0, 220, 3), 4)
+            name = _Lettering(str(rng.choice(WORDS)), frame.at(-0.3, 0.0)[0], 120, 1.6, rng.uniform(0, 220, 3))
     if kind != "truck":
         head, tail = frame.at(frame.half_m - 0.25, 0.72), frame.at(0.2 - frame.half_m, 0.9)
         cv2.ellipse(image, head, (22, 8), 8, 0, 360, (225.0, 232.0, 236.0), -1, cv2.LINE_AA)
@@ -166,11 +199,16 @@ def _side(rng: np.random.Generator, kind: str, paint: NDArray[np.float32]) -> tu
         hub = frame.at(axle, shape.wheel_m)
         _wheel(image, hub, tyre)
         cv2.circle(covered, hub, tyre, 255, -1)
-    return rgba(image, covered.astype(np.float32)), frame.per_m
+    right = np.ascontiguousarray(image[:, ::-1])
+    if name is not None:
+        name.on(image, flipped=False)
+        name.on(right, flipped=True)
+    outline = covered.astype(np.float32)
+    return rgba(image, outline), rgba(right, outline[:, ::-1]), frame.per_m
 
 
-def _load_box(image: Floats, rng: np.random.Generator, painted: Floats, rows: Floats, cut: int) -> None:
-    """A lorry's box with its ribs, a band and a name: white, or ``painted`` like the cab before column ``cut``.
+def _load_box(image: Floats, rng: np.random.Generator, painted: Floats, rows: Floats, cut: int) -> _Lettering:
+    """A lorry's box with its ribs and a band: white, or ``painted`` like the cab before column ``cut``; the name on it.
 
     Args:
         image: of the side; changed in place.
@@ -186,7 +224,7 @@ def _load_box(image: Floats, rng: np.random.Generator, painted: Floats, rows: Fl
         image[:sill, x : x + 2] *= 0.88
     band = rng.uniform(30, 220, 3)
     image[90:106, cut + 4 :] = band
-    write(image, " ".join(str(word) for word in rng.choice(WORDS, 2)), (cut + 30, 78), 1.5, band, 4)
+    return _Lettering(" ".join(str(word) for word in rng.choice(WORDS, 2)), cut + 30, 78, 1.5, band)
 
 
 def _window(image: Floats, pane: NDArray[np.int32]) -> None:
@@ -265,19 +303,21 @@ def vehicle_models(
     """One mesh per (kind, colour): x forward, y left, z up, origin at the centre on the ground.
 
     The last patch of each is the dark ground under the vehicle; it is re-textured when the vehicle is put somewhere
-    (:func:`ground_aligned`).
+    (``laying.ground_aligned``).
     """
     glass = atlas.add(_glass(rng))
     models = {}
     for kind, shape in _SHAPES.items():
         half = 0.5 * VEHICLE_KINDS[kind].width_m
         for colour, paint in enumerate(_PAINTS):
-            picture, per_m = _side(rng, kind, paint)
-            side = Surface(atlas.add(picture), (per_m, per_m), detail=0.0, shape=CUT_OUT | TWO_SIDED)
+            left, right, per_m = _sides(rng, kind, paint)
+            sides = tuple(
+                Surface(atlas.add(picture), (per_m, per_m), detail=0.0, shape=CUT_OUT) for picture in (left, right)
+            )
             lacquer = Surface(atlas.add(plain(rng, tuple(paint), 0.02, 64)), (20.0, 20.0), detail=0.0)
             ends = {front: atlas.add(_end(rng, kind, paint, front)) for front in (True, False)}
             models[kind, colour] = _model(
-                shape, half, VEHICLE_KINDS[kind].height_m, side, lacquer, glass, ends, ground, ground_texels_per_m
+                shape, half, VEHICLE_KINDS[kind].height_m, sides, lacquer, glass, ends, ground, ground_texels_per_m
             )
     return models
 
@@ -286,7 +326,7 @@ def _model(
     shape: _Shape,
     half: float,
     height: float,
-    side: Surface,
+    sides: tuple[Surface, ...],
     lacquer: Surface,
     glass: int,
     ends: dict[bool, int],
@@ -294,10 +334,10 @@ def _model(
     ground_texels_per_m: float,
 ) -> Mesh:
     length = shape.profile[-1][0] - shape.profile[0][0]
-    deep = 256.0 / side.texels_per_m[0]
+    deep = 256.0 / sides[0].texels_per_m[0]
     tail, nose = shape.profile[0][0], shape.profile[-1][0]
-    left = quad(side, (nose, half, height), (-length, 0, 0), (0, 0, -deep))
-    right = quad(side, (nose, -half, height), (-length, 0, 0), (0, 0, -deep))
+    left = quad(sides[0], (nose, half, height), (-length, 0, 0), (0, 0, -deep))
+    right = quad(sides[1], (tail, -half, height), (length, 0, 0), (0, 0, -deep))
     parts = [left, right]
     for (x0, z0), (x1, z1), part in zip(shape.profile[:-1], shape.profile[1:], shape.parts, strict=True):
         run = float(np.hypot(x1 - x0, z1 - z0))
@@ -323,11 +363,3 @@ def _model(
     under = Surface(ground, scale, tint=(0.1, 0.1, 0.1), detail=0.5, material=SHADE)
     parts.append(quad(under, (tail - 0.05, half, 0.02), (length + 0.1, 0, 0), (0, -2 * half, 0)))
     return mesh_of(parts)
-
-
-def ground_aligned(patches: Mesh, texels_per_m: float) -> Mesh:
-    """Ground patches that lie anywhere, their texture taken from the map position below them."""
-    out = patches.copy()
-    u, v, origin = patches["edge_u"], patches["edge_v"], patches["origin"]
-    out["texel"] = texels_per_m * np.stack([u[:, 0], v[:, 0], origin[:, 0], u[:, 1], v[:, 1], origin[:, 1]], axis=1)
-    return out

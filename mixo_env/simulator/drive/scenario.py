@@ -12,6 +12,7 @@ from mixo_env.nuscenes.selections import FIRST_SIMULATED_SCENE
 from mixo_env.simulator.config import SimulationConfig
 from mixo_env.simulator.drive.localisation import LAG_RANGE_S
 from mixo_env.simulator.drive.rig import Rig, draw_rig
+from mixo_env.simulator.drive.targets import Motion, deal_motions
 from mixo_env.simulator.drive.vehicle_bus import BusSensors, draw_sensors
 
 LOCATION = "mixocity"
@@ -26,11 +27,12 @@ _COURSE_VARIATION_RAD = np.radians(0.2)
 
 @dataclass(frozen=True)
 class ScenePlan:
-    """One scene: its number in the data set from 0, name, staged situation and time of the first key frame."""
+    """One scene: its number in the data set from 0, name, situation, motion and time of the first key frame."""
 
     number: int
     name: str
     situation: str
+    motion: Motion
     start_us: int
 
 
@@ -43,6 +45,7 @@ class LogPlan:
         logfile: its name, e.g. ``"m001-2024-05-06-10-00-00+0000"``.
         vehicle: which car.
         weather: ``"day"``, ``"rain"`` or ``"night"``.
+        low_sun: whether it is a day with a low sun.
         low_texture: whether the city has little texture and many blank walls.
         world_seed: of the city.
         rig: true and written calibrations.
@@ -56,6 +59,7 @@ class LogPlan:
     logfile: str
     vehicle: str
     weather: str
+    low_sun: bool
     low_texture: bool
     world_seed: int
     rig: Rig
@@ -73,8 +77,10 @@ def generator(config: SimulationConfig, purpose: str, *numbers: int) -> np.rando
 def plan_logs(config: SimulationConfig) -> tuple[LogPlan, ...]:
     """All logs of a data set."""
     weathers = _dealt({"rain": config.rain, "night": config.night}, config.logs, "day", generator(config, "weather"))
+    suns = iter(_dealt({"low": config.low_sun}, weathers.count("day"), "high", generator(config, "sun")))
     textures = _dealt({"low": config.low_texture}, config.logs, "usual", generator(config, "texture"))
     situations = _dealt(config.situations.by_name(), config.scenes, "ordinary", generator(config, "situations"))
+    motions = deal_motions(generator(config, "motion"), situations)
     lag_s = {car: generator(config, "lag", number).uniform(*LAG_RANGE_S) for number, car in enumerate(_CARS)}
     logs = []
     for number in range(config.logs):
@@ -88,6 +94,7 @@ def plan_logs(config: SimulationConfig) -> tuple[LogPlan, ...]:
                 number=scene,
                 name=f"scene-{FIRST_SIMULATED_SCENE + scene:04d}",
                 situation=situations[scene],
+                motion=motions[scene],
                 start_us=(int(begin.timestamp()) + _SCENE_EVERY_S * (scene - first + 1)) * 1_000_000,
             )
             for scene in range(first, min(first + config.scenes_per_log, config.scenes))
@@ -98,6 +105,7 @@ def plan_logs(config: SimulationConfig) -> tuple[LogPlan, ...]:
                 logfile=f"{vehicle}-{begin:%Y-%m-%d-%H-%M-%S}+0000",
                 vehicle=vehicle,
                 weather=weathers[number],
+                low_sun=weathers[number] == "day" and next(suns) == "low",
                 low_texture=textures[number] == "low",
                 world_seed=int(rng.integers(2**31)),
                 rig=draw_rig(rng, config.width, config.height),

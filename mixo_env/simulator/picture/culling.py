@@ -11,7 +11,7 @@ import numpy as np
 
 from mixo_env.compiled import compiled_unchecked, inlined
 from mixo_env.simulator.city.mesh import PatchSet
-from mixo_env.simulator.picture.views import Float32s, Float64s, Int64s, Point, View
+from mixo_env.simulator.picture.views import Bools, Float32s, Float64s, Int64s, Point, View
 
 NEAR_M = 0.2
 """Nothing nearer to the camera plane is drawn."""
@@ -44,6 +44,69 @@ def turned(rotation: Float64s, x: float, y: float, z: float) -> Point:
     )
 
 
+class Frustum(NamedTuple):
+    """What a picture shows, as sideways over depth at its four edges, and 1 / cosine of the angle of each."""
+
+    left: float
+    right: float
+    up: float
+    down: float
+    slant_left: float
+    slant_right: float
+    slant_up: float
+    slant_down: float
+
+
+@inlined
+def _frustum(view: View, shape: tuple[int, int]) -> Frustum:
+    """Of a camera whose pictures have ``shape``, height and width."""
+    height, width = shape
+    left, right, up, down = (
+        view.cx / view.fx,
+        (width - view.cx) / view.fx,
+        view.cy / view.fy,
+        (height - view.cy) / view.fy,
+    )
+    return Frustum(
+        left, right, up, down,
+        np.sqrt(1.0 + left * left), np.sqrt(1.0 + right * right), np.sqrt(1.0 + up * up), np.sqrt(1.0 + down * down),
+    )  # fmt: skip
+
+
+@inlined
+def _meets(centre: Point, r: float, view: View, edges: Frustum) -> bool:
+    """Whether a sphere in camera coordinates meets the view and covers at least a pixel."""
+    x, y, z = centre
+    # Behind, beyond sight or too small; then beside the picture.
+    if z < NEAR_M - r or z > view.far_m + r or 2.0 * r * view.fx < z:
+        return False
+    if x < -z * edges.left - r * edges.slant_left or x > z * edges.right + r * edges.slant_right:
+        return False
+    return not (y < -z * edges.up - r * edges.slant_up or y > z * edges.down + r * edges.slant_down)
+
+
+@inlined
+def _centre(sphere: Float64s, view: View) -> Point:
+    """Of a row of ``PatchSet.groups``, in camera coordinates."""
+    position = view.position_m
+    return turned(view.rotation, sphere[0] - position[0], sphere[1] - position[1], sphere[2] - position[2])
+
+
+@compiled_unchecked
+def spheres_in_view(groups: Float64s, view: View, shape: tuple[int, int]) -> Bools:
+    """Which bounding spheres meet the view and cover at least a pixel.
+
+    Args:
+        groups: ``(g, 4)`` spheres.
+        view: of the camera.
+        shape: height and width of the picture.
+    """
+    edges, out = _frustum(view, shape), np.empty(len(groups), np.bool_)
+    for g in range(len(groups)):
+        out[g] = _meets(_centre(groups[g], view), groups[g, 3], view, edges)
+    return out
+
+
 @compiled_unchecked
 def _visible_groups(groups: Float64s, view: View, shape: tuple[int, int], found: Found) -> int:
     """Groups whose bounding sphere meets the view and covers at least a pixel.
@@ -57,26 +120,14 @@ def _visible_groups(groups: Float64s, view: View, shape: tuple[int, int], found:
     Returns:
         How many.
     """
-    height, width = shape
-    fx, fy, cx, cy, position = view.fx, view.fy, view.cx, view.cy, view.position_m
-    left, right, up, down = cx / fx, (width - cx) / fx, cy / fy, (height - cy) / fy
-    slant_left, slant_right = np.sqrt(1.0 + left * left), np.sqrt(1.0 + right * right)
-    slant_up, slant_down = np.sqrt(1.0 + up * up), np.sqrt(1.0 + down * down)
-    count = 0
+    edges, count = _frustum(view, shape), 0
     for g in range(groups.shape[0]):
-        dx, dy, dz = groups[g, 0] - position[0], groups[g, 1] - position[1], groups[g, 2] - position[2]
-        r = groups[g, 3]
-        x, y, z = turned(view.rotation, dx, dy, dz)
-        # Behind, beyond sight or too small; then beside the picture.
-        if z < NEAR_M - r or z > view.far_m + r or 2.0 * r * fx < z:
+        r, centre = groups[g, 3], _centre(groups[g], view)
+        if not _meets(centre, r, view, edges):
             continue
-        if x < -z * left - r * slant_left or x > z * right + r * slant_right:
-            continue
-        if y < -z * up - r * slant_up or y > z * down + r * slant_down:
-            continue
-        found.nearest[count] = z - r
+        found.nearest[count] = centre[2] - r
         found.number[count] = g
-        _touched(view, shape, (x, y, z), r, found.tiles[count])
+        _touched(view, shape, centre, r, found.tiles[count])
         count += 1
     return count
 

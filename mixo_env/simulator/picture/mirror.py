@@ -266,10 +266,11 @@ def _end_of_run(owner: Int32s, begin: int, across: int) -> int:
 
 
 @compiled_unchecked
-def _carry(seen: Seen, view: View, images: Int64s) -> int:
+def _carry(seen: Seen, view: View, height_m: float, images: Int64s) -> int:
     """Carry everything that stands and the sky to where the road mirrors it; the first line of cells with ground.
 
-    Lines go from the bottom of the picture to its top, so that the ground under a thing is seen before the thing.
+    ``height_m`` is that of the camera over the ground below it. Lines go from the bottom of the picture to its top, so
+    that the ground under a thing is seen before the thing.
     """
     height, width = seen.owner.shape
     down, across = (height + 1) // 2, (width + 1) // 2
@@ -280,7 +281,7 @@ def _carry(seen: Seen, view: View, images: Int64s) -> int:
         float32(fx), float32(fy), float32(cx), float32(cy), float32(up[0]), float32(up[1]), float32(up[2])
     )  # fmt: skip
     step, steeper = 2.0 / fx, 2.0 * up[0] / fx
-    drop = np.full(across, view.position_m[2], np.float32)  # height over the ground that was seen last in each column
+    drop = np.full(across, height_m, np.float32)  # height over the ground that was seen last in each column
     places, sources = np.empty(across, np.int32), np.empty(across, np.int32)
     near = np.empty(across, np.float32)
     bits = near.view(np.int32)
@@ -369,17 +370,20 @@ def _show(radiance: Int64s, seen: Seen, view: View, noise: UInt8s, wetness: floa
 
 
 @compiled_unchecked
-def mirror_road(radiance: Int64s, seen: Seen, view: View, clouds: UInt8s, wetness: float, images: Int64s) -> None:
+def mirror_road(
+    radiance: Int64s, seen: Seen, view: View, height_m: float, clouds: UInt8s, wetness: float, images: Int64s
+) -> None:
     """Blend into the road what it mirrors.
 
     Args:
         radiance: ``(h, w)`` as ``shade`` leaves it; changed in place.
         seen: of ``DepthBuffers``.
         view: of the camera.
+        height_m: of the camera over the ground below it.
         clouds: ``(512, 512)`` noise that says where water stands.
         wetness: 0..1.
         images: ``(cells + 1,)`` working memory: which cell's image lies in which cell.
     """
     images[:] = -1
-    top = _carry(seen, view, images)
+    top = _carry(seen, view, height_m, images)
     _show(radiance, seen, view, clouds.reshape(_NOISE_SIDE * _NOISE_SIDE), wetness, images, top)

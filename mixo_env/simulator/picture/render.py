@@ -12,25 +12,28 @@ from numpy.typing import NDArray
 
 from mixo_env.errors import ConfigurationError
 from mixo_env.nuscenes.scene import CameraCalibration
+from mixo_env.simulator.city.people import PersonState
 from mixo_env.simulator.city.shadows import EXTENT_M
 from mixo_env.simulator.city.textures import quads
 from mixo_env.simulator.city.vehicles import VehicleState
 from mixo_env.simulator.city.world import World
-from mixo_env.simulator.picture.exposure import during_exposure
+from mixo_env.simulator.picture.drops_seen import Veil, see_through
+from mixo_env.simulator.picture.exposure import adapted_gain, during_exposure
 from mixo_env.simulator.picture.fleet import Fleet, moving_states
+from mixo_env.simulator.picture.glare import add_light, lens_glare, sky_glare, sun_share
 from mixo_env.simulator.picture.lamps import add_glare, light_window
 from mixo_env.simulator.picture.mirror import mirror_road
 from mixo_env.simulator.picture.rain import add_spray, spray_puffs
 from mixo_env.simulator.picture.rasterizer import DepthBuffers
-from mixo_env.simulator.picture.sampling import even_cells
-from mixo_env.simulator.picture.sensor import NOISE_SIDE, Sensor, expose, mean_radiance
+from mixo_env.simulator.picture.sampling import above_shadow, even_cells
+from mixo_env.simulator.picture.sensor import NOISE_SIDE, Sensor, expose, mean_radiance, noise_offsets, noise_table
 from mixo_env.simulator.picture.shading import shade
 from mixo_env.simulator.picture.spans import Canvas, Shot
-from mixo_env.simulator.picture.views import LIGHT, Daylight, Lamps, Textures, View
+from mixo_env.simulator.picture.views import LIGHT, Daylight, Float32s, Float64s, Int64s, Lamps, Textures, View
 from mixo_env.simulator.picture.weather import Weather, weather_named
 
-EXPOSURE_LAG = 0.25
-"""Share of the way to the wanted exposure that the control goes from one image to the next."""
+IMAGE_EVERY_S = 1.0 / 12.0
+"""Usual time between two images of a camera."""
 
 RADIANCE_UNIT = 32768.0
 """Integer radiance of a white surface in full daylight; the largest is eight times that."""
@@ -38,8 +41,8 @@ RADIANCE_UNIT = 32768.0
 GLARE = 0.12
 """Share of the light above white that lens and air scatter at night."""
 
+_PEOPLE_SEEN_M = 100.0  # farther ones are a few pixels high
 _WIDEST_PX = 1600  # the table of noise is as wide as such a row of pixels needs
-_OFFSET_STEP = 2**32 // NOISE_SIDE  # of 32 random bits, the highest ten
 _VIGNETTE = 0.22  # cos^4 of the angle to the optical axis, whose squared tangent this is at the edge
 
 
@@ -100,8 +103,7 @@ class Renderer:
         self.world = world
         self.weather = weather_named(weather) if isinstance(weather, str) else weather
         self._sizes: dict[tuple[int, int], _Memory] = {}
-        columns = 3 * _WIDEST_PX + NOISE_SIDE
-        self._noise = np.random.default_rng(20).standard_normal((NOISE_SIDE, columns), np.float32)
+        self._noise = noise_table(3 * _WIDEST_PX + NOISE_SIDE)
         self._fleet = Fleet(world, shadows=self.weather.sun > 0.0)
         self._daylight = Daylight(world.sunlight, even_cells(world.sunlight), world.shadow_height)
         self._textures = Textures(
@@ -112,8 +114,9 @@ class Renderer:
             quads(world.sky).ravel(),
             float(world.ground_texels_per_m),
             self.weather.grain_levels,
+            self.weather.most_taps,
         )
-        self._no_lamps = Lamps(np.zeros((1, 1), np.float32), np.zeros(2), np.zeros(8))
+        self._no_lamps = Lamps(np.zeros((1, 1), np.float32), np.zeros(2), np.zeros(3), np.zeros(8))
         self._light = _light(self.weather)
         # Radiance of the air as one packed word: what spray looks like.
         self._air = sum(int(RADIANCE_UNIT * part) << 21 * place for place, part in enumerate(self.weather.haze))
@@ -125,8 +128,11 @@ class Renderer:
         end: CameraPose,
         vehicles: Sequence[VehicleState] = (),
         *,
+        people: Sequence[PersonState] = (),
         gain: float | None = None,
         noise_seed: int = 0,
+        veil: Veil | None = None,
+        next_s: float = IMAGE_EVERY_S,
     ) -> RenderedImage:
         """One picture.
 
@@ -135,14 +141,19 @@ class Renderer:
             start: of the camera when the shutter opens.
             end: when it closes, ``weather.shutter_s`` later.
             vehicles: at the middle of the exposure, the instant that the picture shows.
+            people: likewise.
             gain: from the previous picture of this camera, ``None`` for the first (exposed for itself).
             noise_seed: seed of the sensor noise; different for every picture.
+            veil: of the drops on the lens.
+            next_s: until the next picture of this camera, for the exposure control.
         """
         world, weather = self.world, self.weather
         memory = self._memory(calibration.height, calibration.width)
         x_m, y_m = (0.5 * (start.position_m.item(i) + end.position_m.item(i)) for i in range(2))
         near = [v for v in vehicles if math.hypot(v.x_m - x_m, v.y_m - y_m) < weather.sight_m]
-        states, models = moving_states(near), self._fleet.models(near)
+        about = [p for p in people if math.hypot(p.x_m - x_m, p.y_m - y_m) < _PEOPLE_SEEN_M]
+        states = moving_states(near, about, world.underpasses, world.land)
+        models = self._fleet.models(near, about)
         rotation, position, motion = during_exposure(
             start.rotation_map_from_camera,
             start.position_m,
@@ -154,25 +165,58 @@ class Renderer:
         # What is seen, in which light and how it moves.
         fx, fy, cx, cy = calibration.intrinsic.take((0, 4, 2, 5)).tolist()
         view = View(rotation, position, fx, fy, cx, cy, float(weather.sight_m))
-        memory.buffers.draw_patches((self._fleet.placed(models, states), world.static), view, self._textures)
-        seen, radiance = memory.buffers.seen, memory.canvas.radiance
+        radiance = memory.canvas.radiance
+        placed = self._fleet.placed(models, states, (view, radiance.shape))
+        memory.buffers.draw_patches((placed, world.static), view, self._textures)
+        seen = memory.buffers.seen  # only now: drawing makes room for more patches
         lamps = self._lamps(calibration, position, near)
         shade(Shot(seen, view, self._light, self._textures, self._daylight, lamps, motion), memory.canvas)
-        # Rain.
+        # Rain, and what lens and glass do.
         if weather.wetness > 0.0:
-            mirror_road(radiance, seen, view, world.sky, weather.wetness, memory.images)
-            puffs = spray_puffs(states, self._fleet.size_m[models], view, weather.wetness)
-            add_spray(radiance, seen.depth, puffs, view, world.sky, self._air)
-        # Exposure control, glare and the sensor.
-        mean = mean_radiance(radiance) / RADIANCE_UNIT
-        wanted = min(weather.exposure_target / max(mean, 1e-6), weather.largest_gain)
+            self._add_rain(memory, view, states[: len(near)], models[: len(near)])  # people throw nothing up
+        if veil is not None:
+            see_through(radiance, veil)
+        if weather.sun > 0.0:
+            self._add_sun(radiance, seen.depth, view, calibration.intrinsic)
+        wanted = self._wanted_gain(radiance)
         used = wanted if gain is None else gain
+        return RenderedImage(self._exposed(memory, used, noise_seed), adapted_gain(used, wanted, next_s))
+
+    def _wanted_gain(self, radiance: Int64s) -> float:
+        """What the exposure control aims at."""
+        mean = mean_radiance(radiance) / RADIANCE_UNIT
+        return min(self.weather.exposure_target / max(mean, 1e-6), self.weather.largest_gain)
+
+    def _exposed(self, memory: _Memory, gain: float, noise_seed: int) -> NDArray[np.uint8]:
+        """What the sensor makes of the light, which at night glares around lamps."""
+        radiance = memory.canvas.radiance
+        height, width = radiance.shape
         if self._is_dark:
-            add_glare(radiance, RADIANCE_UNIT / used, GLARE)
-        image = np.empty((calibration.height, calibration.width, 3), np.uint8)
-        offset = _noise_offsets(noise_seed, calibration.height)
-        expose(radiance, memory.canvas.flow, offset, used / RADIANCE_UNIT, memory.sensor, image)
-        return RenderedImage(image, used + EXPOSURE_LAG * (wanted - used))
+            add_glare(radiance, RADIANCE_UNIT / gain, GLARE)
+        image = np.empty((height, width, 3), np.uint8)
+        offset = noise_offsets(noise_seed, height)
+        expose(radiance, memory.canvas.flow, offset, gain / RADIANCE_UNIT, memory.sensor, image)
+        return image
+
+    def _add_rain(self, memory: _Memory, view: View, states: Float64s, models: NDArray[np.int64]) -> None:
+        """What the wet road mirrors, and the spray behind vehicles, whose states and models these are."""
+        seen, radiance, clouds = memory.buffers.seen, memory.canvas.radiance, self.world.sky
+        height_m = float(view.position_m[2] - self._ground_m(view.position_m))
+        mirror_road(radiance, seen, view, height_m, clouds, self.weather.wetness, memory.images)
+        puffs = spray_puffs(states, self._fleet.size_m[models], view, self.weather.wetness)
+        add_spray(radiance, seen.depth, puffs, view, clouds, self._air)
+
+    def _add_sun(self, radiance: Int64s, depth: Float32s, view: View, intrinsic: Float64s) -> None:
+        """The sun where it stands in the picture or near its edge: the sky about it, and glare if no house hides it."""
+        height, width = radiance.shape
+        sun = view.rotation @ self.world.sun
+        falls = sun_share(sun, intrinsic, height, width)
+        if falls > 0.0:
+            irradiance = falls * math.pi * self.weather.sun * RADIANCE_UNIT
+            seen = above_shadow(self.world.shadow_height, *view.position_m.tolist())
+            lens = lens_glare(sun, intrinsic, height, width, seen * irradiance)
+            sky = sky_glare(sun, intrinsic, height, width, irradiance, float(self.world.sun[2]))
+            add_light(radiance, depth, lens, sky, np.array(self.weather.colour))
 
     @property
     def _is_dark(self) -> bool:
@@ -186,7 +230,16 @@ class Renderer:
         if not self._is_dark:
             return self._no_lamps
         to_ego = np.column_stack([calibration.rotation_ego_from_camera, calibration.translation_m])
-        return Lamps(*light_window(self.world.lamp_light, EXTENT_M, position_m, near), to_ego[:2].ravel())
+        window, corner = light_window(self.world.lamp_light, EXTENT_M, position_m, near)
+        x, y = position_m[:2]
+        rise_x, rise_y = self.world.land.rise(*self.world.land.grid(x, y))
+        ground = np.array([self._ground_m(position_m) - rise_x * x - rise_y * y, rise_x, rise_y])
+        return Lamps(window, corner, ground, to_ego[:2].ravel())
+
+    def _ground_m(self, position_m: NDArray[np.float64]) -> float:
+        """Height of the ground below a point."""
+        land = self.world.land
+        return float(land.height(*land.grid(position_m[0], position_m[1])))
 
     def _memory(self, height: int, width: int) -> _Memory:
         """Working arrays for one picture size, made once."""
@@ -220,8 +273,3 @@ def _light(weather: Weather) -> NDArray[np.void]:
     haze, zenith = ((unit * part for part in colour) for colour in (w.haze, w.zenith))
     values = (unit * w.ambient, unit * w.sun, w.haze_per_m, *haze, *zenith, w.clouds, unit * w.lamps, w.wetness)
     return np.array([(*values, *w.colour)], LIGHT)
-
-
-def _noise_offsets(seed: int, height: int) -> NDArray[np.uint32]:
-    """Row and first column of the table of noise for each row of a picture, ``(height, 2)``."""
-    return np.random.PCG64(seed).random_raw(height).view(np.uint32).reshape(height, 2) // _OFFSET_STEP

@@ -195,6 +195,8 @@ def lamp_light(lamps: Lamps, point: Point, up: float, ray: Point) -> float:
     """
     x, y, z = point
     rx, ry, rz = ray
+    ground = lamps.ground
+    z -= ground[0] + ground[1] * x + ground[2] * y  # from here on over the ground
     window, corner, beam = lamps.window, lamps.corner, lamps.beam
     # The map holds the light on the ground; walls get less, and hardly any above the lamps.
     upright = 1.0 if up > _FLOOR_UP else _WALL_SHARE

@@ -8,7 +8,7 @@ import numpy as np
 from numba import float32
 
 from mixo_env.compiled import compiled_unchecked, inlined
-from mixo_env.simulator.picture.views import Float32s, Int32s, Int64s, UInt8s, UInt32s
+from mixo_env.simulator.picture.views import Float32s, Int8s, Int32s, Int64s, UInt8s
 
 LONGEST_BLUR_PX = 48.0
 """Longer motion is cut: what moves so far is a smear either way."""
@@ -18,6 +18,9 @@ MOST_SAMPLES = 6
 
 NOISE_SIDE = 1024
 """Rows of the table of noise; every row of a picture starts at a random place in it."""
+
+NOISE_UNIT = 1.0 / 32.0
+"""Step of the table of noise in standard deviations: bytes are read in a quarter of the time of floats."""
 
 _SHARE = np.array([0.0] + [65536.0 / n for n in range(1, MOST_SAMPLES + 1)], np.float32)
 _WHITE = 1.4  # exposed radiance that becomes white; highlights bend towards it
@@ -36,15 +39,33 @@ class Sensor(NamedTuple):
 
     Attributes:
         vignette: ``(h, w)`` share of light that reaches the pixel.
-        noise: ``(NOISE_SIDE, n)`` unit normal numbers, n >= 3 w + NOISE_SIDE.
-        shot: noise variance per exposed radiance.
+        noise: ``(NOISE_SIDE, n)`` normal numbers in steps of ``NOISE_UNIT``, n >= 3 w + NOISE_SIDE.
+        shot: noise variance per exposed radiance of green.
         read: noise variance in the dark.
     """
 
     vignette: Float32s
-    noise: Float32s
+    noise: Int8s
     shot: float
     read: float
+
+
+def noise_table(columns: int) -> Int8s:
+    """Normal numbers for :class:`Sensor`."""
+    normal = np.random.default_rng(20).standard_normal((NOISE_SIDE, columns), np.float32)
+    return np.clip(np.rint(normal / NOISE_UNIT), -127, 127).astype(np.int8)
+
+
+def noise_offsets(seed: int, height: int) -> Int64s:
+    """Row and first column of the table of noise for each row of a picture, ``(height, 2)``.
+
+    Numbers of SplitMix64 (Steele, Lea and Flood 2014), which needs no generator to be made for every picture.
+    """
+    word = np.uint64(seed) + np.arange(1, height + 1, dtype=np.uint64) * np.uint64(0x9E3779B97F4A7C15)
+    word = (word ^ word >> np.uint64(30)) * np.uint64(0xBF58476D1CE4E5B9)
+    word = (word ^ word >> np.uint64(27)) * np.uint64(0x94D049BB133111EB)
+    halves = (word ^ word >> np.uint64(31)).view(np.uint32).reshape(height, 2)
+    return (halves % np.uint32(NOISE_SIDE)).astype(np.int64)
 
 
 @compiled_unchecked
@@ -234,8 +255,32 @@ def _begin_row(radiance: Int64s, vignette: Float32s, gain: np.float32, words: In
         scales[x] = gain * vignette[x]
 
 
+@inlined
+def _field(words: Int64s, scales: Float32s, shift: int, out: Float32s) -> None:
+    """Exposed radiance of one colour of a row."""
+    for x in range(out.shape[0]):
+        out[x] = scales[x] * float32(np.int32((words[x] >> shift) & _FIELD))
+
+
+@inlined
+def _deviation(values: Float32s, shot: np.float32, read: np.float32, out: Float32s) -> None:
+    """Standard deviation of the noise, stronger where there is more light."""
+    for x in range(out.shape[0]):
+        out[x] = np.sqrt(shot * values[x] + read)
+
+
+@inlined
+def _encode(values: Float32s, grain: Int8s, deviation: Float32s, coded: UInt8s) -> None:
+    """Exposed radiance with noise as bytes."""
+    for x in range(values.shape[0]):
+        value = max(values[x] + deviation[x] * float32(grain[x]), float32(0.0))
+        # Highlights bend towards white; the root is the gamma of the encoding.
+        value = value * (float32(1.0) + value * _RISE) / (float32(1.0) + value * _BEND)
+        coded[x] = np.uint8(np.int32(min(float32(255.0) * np.sqrt(value) + float32(0.5), float32(255.0))))
+
+
 @compiled_unchecked
-def expose(radiance: Int64s, flow: Float32s, offset: UInt32s, gain: float, sensor: Sensor, out: UInt8s) -> None:
+def expose(radiance: Int64s, flow: Float32s, offset: Int64s, gain: float, sensor: Sensor, out: UInt8s) -> None:
     """Average along each pixel's motion, then expose, add noise and encode.
 
     Args:
@@ -248,28 +293,22 @@ def expose(radiance: Int64s, flow: Float32s, offset: UInt32s, gain: float, senso
     """
     height, width = radiance.shape
     words, scales, line = np.empty(width, np.int64), np.empty(width, np.float32), np.empty((3, width), np.uint8)
-    values, motion = np.empty(width, np.float32), np.empty((2, width), np.int32)
+    values, deviation = np.empty(width, np.float32), np.empty(width, np.float32)
+    motion = np.empty((2, width), np.int32)
     flat = radiance.reshape(height * width)
-    light, shot, read = float32(gain), float32(sensor.shot), float32(sensor.read)
+    light = float32(gain)
+    shot, read = float32(sensor.shot * NOISE_UNIT**2), float32(sensor.read * NOISE_UNIT**2)
     for y in range(height):
         # Light that falls on the row while the shutter is open.
         _begin_row(radiance[y], sensor.vignette[y], light, words, scales)
         _smear(flat, radiance.shape, flow, y, words, scales, motion)
+        # One deviation for all colours, that of green, by which the eye and a grey picture judge most of the light.
+        _field(words, scales, 21, values)
+        _deviation(values, shot, read, deviation)
         for channel in range(3):  # short loops without branches, so that each runs in SIMD
-            shift, first = 21 * channel, offset[y, 1] + channel * width
-            grain, coded = sensor.noise[offset[y, 0], first : first + width], line[channel]
-            # Exposed radiance.
-            for x in range(width):
-                values[x] = scales[x] * float32(np.int32((words[x] >> shift) & _FIELD))
-            # Noise, stronger where there is more light.
-            for x in range(width):
-                value = values[x]
-                values[x] = max(value + np.sqrt(shot * value + read) * grain[x], float32(0.0))
-            # Highlights bend towards white; the root is the gamma of the encoding.
-            for x in range(width):
-                value = values[x]
-                value = value * (float32(1.0) + value * _RISE) / (float32(1.0) + value * _BEND)
-                coded[x] = np.uint8(np.int32(min(float32(255.0) * np.sqrt(value) + float32(0.5), float32(255.0))))
+            first = offset[y, 1] + channel * width
+            _field(words, scales, 21 * channel, values)
+            _encode(values, sensor.noise[offset[y, 0], first : first + width], deviation, line[channel])
         # Three rows of one colour become a row of pixels.
         target, red, green, blue = out[y].reshape(3 * width), line[0], line[1], line[2]
         for x in range(width):

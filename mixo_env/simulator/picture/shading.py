@@ -1,7 +1,7 @@
 """Radiance and image motion of every pixel from the patches that the rasteriser found.
 
 Pixels are shaded in short spans that show the same patch. Perspective is exact at both ends of a span and linear
-within; a span is cut so short that this misplaces the texture by less than 0.15 pixels. The reduction of the texture,
+within; a span is cut so short that this misplaces the texture by less than 0.2 pixels. The reduction of the texture,
 haze and lamp light are chosen once per span.
 """
 
@@ -44,9 +44,6 @@ from mixo_env.simulator.picture.spans import (
 from mixo_env.simulator.picture.sunlight import Sun, no_sun, sun_on_ground, sun_on_wall
 from mixo_env.simulator.picture.surfaces import Look, Surface, Sweep, look_of, rays_in, surface_in, sweep_in
 from mixo_env.simulator.picture.views import BODY, Float32s, Int64s, Point, Textures, UInt32s, View
-
-MOST_TAPS = 3
-"""Samples along the long axis of a pixel's footprint on a slanted surface."""
 
 _SHORTEST = 4  # pixels: shorter spans cost more than they hold
 _POWER = np.array([2.0**-i for i in range(12)])  # scale of each reduction
@@ -104,7 +101,7 @@ def _span(s: Surface, x: int, stop: int) -> Span:
 
 
 @inlined
-def _footprint(s: Surface, span: Span, look: Look) -> Footprint:
+def _footprint(s: Surface, span: Span, look: Look, most_taps: int) -> Footprint:
     """Derivatives of the texel in column and row; the long axis is sampled, the short axis chooses the reduction."""
     z = span.z
     um, vm = span.u + 0.5 * span.du * span.steps, span.v + 0.5 * span.dv * span.steps
@@ -118,7 +115,7 @@ def _footprint(s: Surface, span: Span, look: Look) -> Footprint:
         wide, thin, ju, jv = along, across, uy, vy
     taps = 1
     if wide > _SLANTED:
-        taps = max(1, min(MOST_TAPS, int(wide / max(thin, _SHARPEST) + 0.5)))
+        taps = max(1, min(most_taps, int(wide / max(thin, _SHARPEST) + 0.5)))
     share = INVERSE[taps]
     ju, jv = ju * share, jv * share
     grain = level(max(abs(ju * look.grain_per_u), abs(jv * look.grain_per_v)))
@@ -268,7 +265,7 @@ def _shade_run(run: Run, k: int, shot: Shot, memory: Memory, out: Canvas) -> Non
     while x < stop:
         # Where the span lies on the texture and in the map.
         span = _span(surface, x, stop)
-        foot = _footprint(surface, span, look)
+        foot = _footprint(surface, span, look, textures.most_taps)
         ray = rays.d0 + rays.s0 * x, rays.d1 + rays.s1 * x, rays.d2 + rays.s2 * x
         point = _off_surface(ray, span.z_first, view, look)
         # Light that is the same for the whole span.

@@ -47,7 +47,7 @@ from mixo_env.simulator.picture.views import (
 _EMITTED = 4.0  # lamps behind glass against what they light
 _SIDEWAYS, _UPWARD = 0.82, 0.18  # the sky's light that falls on a wall; how much more falls on a roof
 _WET = 0.5  # of its light that soaked ground loses
-_BEND_PX = 0.6  # four times the error that is allowed, see below
+_BEND_PX = 0.8  # four times the error that is allowed, see below
 
 
 class Surface(NamedTuple):

@@ -11,9 +11,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+Bools = NDArray[np.bool_]
 Float32s = NDArray[np.float32]
 Float64s = NDArray[np.float64]
 UInt8s = NDArray[np.uint8]
+Int8s = NDArray[np.int8]
 Int32s = NDArray[np.int32]
 Int64s = NDArray[np.int64]
 UInt32s = NDArray[np.uint32]
@@ -104,6 +106,7 @@ class Textures(NamedTuple):
         sky: clouds, ``quads``.
         ground_texels_per_m: scale of the ground texture.
         grain_levels: reductions of the fine grain that are drawn.
+        most_taps: samples along the long axis of a pixel's footprint on a slanted surface.
     """
 
     texels: UInt32s
@@ -113,6 +116,7 @@ class Textures(NamedTuple):
     sky: UInt32s
     ground_texels_per_m: float
     grain_levels: int
+    most_taps: int
 
 
 class Daylight(NamedTuple):
@@ -135,9 +139,11 @@ class Lamps(NamedTuple):
     Attributes:
         window: light of street lamps and other cars on the ground, one value a metre, a power of two wide.
         corner: map position of its corner.
+        ground: ``(3,)`` the plane of the ground below the camera: height at the map's origin, slope along x and y.
         beam: ``(8,)`` rows x and y of ego from camera with their translation, for the car's own head lights.
     """
 
     window: Float32s
     corner: Float64s
+    ground: Float64s
     beam: Float64s
