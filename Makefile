@@ -4,13 +4,16 @@ BIN := .venv/bin
 WORKERS ?= 2
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: benchmark mixocity pictures test integration integrations site faults browser coverage lint types unit format clean
+.PHONY: benchmark mixocity weights pictures test integration integrations site faults browser coverage lint types unit format clean
 
 benchmark: .venv/installed  ## the leaderboard on the bundled recordings
 	$(BIN)/mixo benchmark
 
 mixocity: .venv/installed  ## the bundled recordings anew, from nothing: hours; resumable
 	$(BIN)/python -m experiments.mixocity --workers $(WORKERS)
+
+weights: .venv/installed  ## weights that come with the package, anew; needed after new recordings or another fit; resumable
+	$(BIN)/mixo train --all --out mixo_env/policies/weights --workers $(WORKERS)
 
 # The images of the GIF's scene lie where `make mixocity` keeps them.
 pictures: .venv/integrations  ## figures of README and the page to play, after new recordings; PPO is trained for one of them
