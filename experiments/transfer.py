@@ -22,7 +22,7 @@ from pathlib import Path
 from experiments.places import Place, variants_of
 from experiments.real_experts import RealExperts, imported
 from experiments.studies import print_study
-from mixo_env.errors import PolicyError
+from mixo_env.errors import ConfigurationError, PolicyError
 from mixo_env.leaderboard.comparisons import Comparison
 from mixo_env.leaderboard.crossvalidation import CrossValidation, Trial
 from mixo_env.leaderboard.evaluation import Truth
@@ -123,7 +123,7 @@ class Transfer:
         for name in self.rows:
             try:
                 runs.append(place.brought(name, home, tested, self.track))
-            except PolicyError as error:
+            except (ConfigurationError, PolicyError) as error:  # it knows its experts by name, and others are here
                 logger.info("%s, %s: %s", place.name, name, error)
         if place.name != "night":
             runs += [place.at_home_here(name, there(name), tested, self.track) for name in THERE]
