@@ -59,19 +59,19 @@ class Train:
         from mixo_env.leaderboard.board import requested
         from mixo_env.leaderboard.crossvalidation import Trial
         from mixo_env.leaderboard.training import Training
+        from mixo_env.recordings.store import load_recordings
 
         if self.all == bool(self.names):
             raise ConfigurationError("expected names of rows, or --all, not both: `mixo train TOKEN`")
         source = None if self.recordings is None else str(self.recordings)
-        curves = self.tensorboard and writable_folder(self.tensorboard)
-        training = Training(source, Trial(self.seed, self.seeds, weights=writable_folder(self.out), curves=curves))
-        recordings = training.division.recordings
-        rows = requested(recordings, self.tracks, self.names)
+        rows = requested(load_recordings(source), self.tracks, self.names)
         if self.tensorboard is not None:
             from mixo_env.leaderboard.curves import check_watched
 
             check_watched(rows)
-        pieces = training.division.pieces(rows, self.tracks or recordings.distinct_tracks)
+        curves = self.tensorboard and writable_folder(self.tensorboard)
+        training = Training(source, Trial(self.seed, self.seeds, weights=writable_folder(self.out), curves=curves))
+        pieces = training.division.pieces(rows, self.tracks or training.division.recordings.distinct_tracks)
         if not pieces:
             raise ConfigurationError(f"{', '.join(rows)}: nothing to fit: name a row that learns")
         with progress("fitting") as report:
