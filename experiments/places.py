@@ -88,7 +88,8 @@ class Place:
 
 def variants_of(place: Place, strides: Sequence[int], cameras: Sequence[str]) -> list[Place]:
     """The place as it is, at slower clocks, and with some cameras alone."""
-    rate_hz = 1.0 / float(np.median(place.division.recordings["dt_s"][1:]))
+    step_s = place.division.recordings["dt_s"]
+    rate_hz = 1.0 / float(np.median(step_s[step_s > 0.0]))
     places = [replace(place, name=f"{place.name}, {rate_hz:.0f} Hz")]
     places += [
         replace(place, name=f"{place.name}, {rate_hz / stride:.0f} Hz", change=partial(every, stride=stride))

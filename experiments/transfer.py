@@ -6,7 +6,8 @@
 Other places are the same city at a slower clock or with two of four cameras (each scene played by a fit without its
 fold), other cities the same ways, night, and the real odometries of :mod:`experiments.real_experts`. There nothing is
 fitted but what a car's own drives tell of it (wheel radius, course offset, pose lag), from the other logs. Beside the
-rows stand LINEAR THERE and HUBER THERE: fitted, by cross-validation over logs, where they are scored.
+rows stand LINEAR THERE, and HUBER THERE among strange experts: fitted, by cross-validation over logs, where they are
+scored.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import logging
 import os
 import sys
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -24,9 +25,9 @@ from experiments.real_experts import RealExperts, imported
 from experiments.studies import print_study
 from mixo_env.errors import ConfigurationError, PolicyError
 from mixo_env.leaderboard.comparisons import Comparison
-from mixo_env.leaderboard.crossvalidation import CrossValidation, Trial
+from mixo_env.leaderboard.crossvalidation import CrossValidation, Run, Trial
 from mixo_env.leaderboard.evaluation import Truth
-from mixo_env.leaderboard.rows import Row, Scorer
+from mixo_env.leaderboard.rows import Scorer
 from mixo_env.leaderboard.sentences import p_text, percent
 from mixo_env.leaderboard.weights import shipped
 from mixo_env.recordings.collection import Recordings
@@ -37,18 +38,17 @@ from mixo_env.tables import Cell, Column, Table
 logger = logging.getLogger(__name__)
 
 THERE = ("LINEAR", "HUBER")
-"""Fitted where they are scored, too."""
+"""What everyone is compared with; LINEAR is fitted where it is scored, too, HUBER where it cannot be brought."""
+
+NIGHT = "night"
 
 FEWEST_LOGS = 6
-"""With five logs no p falls below 2 / 2^5: none is printed then, and no interval."""
+"""With five logs no p falls below 2 / 2^5: none is printed then."""
 
 
 def there(name: str) -> str:
     """How a row is called that was fitted where it is scored."""
     return f"{name} THERE"
-
-
-AGAINST = (*THERE, *map(there, THERE))
 
 
 @dataclass(frozen=True)
@@ -79,20 +79,19 @@ class Transfer:
     def run(self) -> Table:
         """Fit once, play everywhere."""
         home = CrossValidation(self._load(self.home), self._trial())
+        shown = (*self.rows, *map(there, THERE))
         lines: list[list[Cell]] = []
         begins: list[int] = []
         for place in self._places(home):
             begins.append(len(lines))
-            lines += self._lines(place, home)
+            lines += self._lines(place, home, shown)
             logger.info("%s: done", place.name)
         caption = (
             f"Fitted on {home.recordings.manifest.data_version}, track {self.track}, and played elsewhere without "
-            "refitting; headline truth, 95 % interval by bootstrap over logs; paired differences, p after Holm over "
-            f"all pairs of a place, none with fewer than {FEWEST_LOGS} logs; THERE: fitted by cross-validation where "
-            "it is scored"
+            "refitting: headline RTE [10⁻³ deg/m] and paired differences, p after Holm over all pairs of a place, none "
+            f"with fewer than {FEWEST_LOGS} logs; THERE: fitted by cross-validation where it is scored"
         )
-        columns = ("place", "row", "RTE deg/m", "ATE deg", *(f"- {name}" for name in AGAINST))
-        return Table(caption, tuple(map(Column, columns)), lines, begins[1:])
+        return Table(caption, tuple(map(Column, ("place", "what", *shown))), lines, begins[1:])
 
     def _trial(self) -> Trial:
         return Trial(self.seed, weights=self.weights or shipped())
@@ -108,7 +107,7 @@ class Transfer:
             yield from variants_of(Place(folder.name, division), self.strides, self.cameras)
         recordings = self._load(self.home)
         if any(scene.fold == OUT_OF_DISTRIBUTION for scene in recordings.scenes):
-            yield Place("night", CrossValidation(recordings, self._trial(), out_of_distribution=True))
+            yield Place(NIGHT, CrossValidation(recordings, self._trial(), out_of_distribution=True))
         if "MIXO_REAL_DATA" in os.environ:
             study = RealExperts()
             with tempfile.TemporaryDirectory() as scratch:
@@ -116,34 +115,39 @@ class Transfer:
                 imported(study.folder(), study.rate, out)
                 yield Place("real odometries", CrossValidation(load_recordings(str(out)), Trial(self.seed)))
 
-    def _lines(self, place: Place, home: CrossValidation) -> list[list[Cell]]:
+    def _lines(self, place: Place, home: CrossValidation, shown: Sequence[str]) -> list[list[Cell]]:
+        """RTE of every row, then its differences to those that everyone knows."""
         tested = place.tested()
+        runs = {name: run for name in self.rows if (run := self._brought(place, name, home, tested)) is not None}
+        if place.name != NIGHT:
+            needed = [name for name in THERE if name == "LINEAR" or name not in runs]
+            runs |= {there(name): place.at_home_here(name, there(name), tested, self.track) for name in needed}
         scorer = Scorer(tested, {"truth": Truth(tested)}, floor=0.0, seed=self.seed)
-        runs = []
-        for name in self.rows:
-            try:
-                runs.append(place.brought(name, home, tested, self.track))
-            except (ConfigurationError, PolicyError) as error:  # it knows its experts by name, and others are here
-                logger.info("%s, %s: %s", place.name, name, error)
-        if place.name != "night":
-            runs += [place.at_home_here(name, there(name), tested, self.track) for name in THERE]
-        rows = [scorer.row(self.track, run) for run in runs]
-        found = scorer.compare(rows)
+        rows = {name: scorer.row(self.track, run) for name, run in runs.items()}
+        found = scorer.compare(list(rows.values()))
         logs = len({scene.log for scene in tested.scenes})
         title = f"{place.name} ({len(tested)} scenes, {logs} logs)"
-        told = logs >= FEWEST_LOGS
-        return [[title, *_cells(row, {name: found.between(row.name, name) for name in AGAINST}, told)] for row in rows]
+        errors = {name: f"{1e3 * row.headline.rotation_deg_per_m.mean:.2f}" for name, row in rows.items()}
+        lines: list[list[Cell]] = [[title, "RTE", *(errors.get(name, "-") for name in shown)]]
+        for other in (name for name in (*THERE, *map(there, THERE)) if name in rows):
+            differences = (found.between(name, other) for name in shown)
+            lines.append([title, f"- {other}", *(_difference(one, logs >= FEWEST_LOGS) for one in differences)])
+        return lines
+
+    def _brought(self, place: Place, name: str, home: CrossValidation, tested: Recordings) -> Run | None:
+        """``None`` for a row that knows its experts by name, where others are."""
+        try:
+            return place.brought(name, home, tested, self.track)
+        except (ConfigurationError, PolicyError) as error:
+            logger.info("%s, %s: %s", place.name, name, error)
+            return None
 
 
-def _cells(row: Row, differences: Mapping[str, Comparison | None], told: bool) -> list[Cell]:
-    """Cells of a row; ``told``: there are logs enough for intervals and p."""
-    score = row.headline
-    ends = score.rotation_deg_per_m
-    interval = f" [{ends.low:.5f}, {ends.high:.5f}]" if told else ""
-    cells: list[Cell] = [row.name, f"{ends.mean:.5f}{interval}", f"{score.ate_deg:.3f}"]
-    for found in differences.values():
-        cells.append("-" if found is None else percent(found.share) + (f" ({p_text(found.p_holm)})" if told else ""))
-    return cells
+def _difference(found: Comparison | None, told: bool) -> str:
+    """With its p where there are logs enough for one."""
+    if found is None:
+        return "-"
+    return percent(found.share) + (f" ({p_text(found.p_holm)})" if told else "")
 
 
 def main(arguments: list[str] | None = None) -> int:

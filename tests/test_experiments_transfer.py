@@ -82,11 +82,14 @@ def test_the_table_has_every_place_and_no_p_of_few_logs(
     assert [place.rpartition(" (")[0] for place in places] == [
         f"{place}, {way}" for place in ("here", "many") for way in ("10 Hz", "3 Hz", "CAM_FRONT alone")
     ]
-    for row in table.rows:
-        few = str(row[0]).startswith("here")
-        assert ("[" in str(row[2])) != few
-        assert any("(" in str(cell) for cell in row[4:]) != few
-    rows = [row[1] for row in table.rows if row[0] == places[0]]
-    assert rows == ["MEDIAN", "LINEAR", "LINEAR THERE", "HUBER THERE"]
+    columns = [column.heading for column in table.columns]
+    assert columns == ["place", "what", "MEDIAN", "LINEAR", "LINEAR THERE", "HUBER THERE"]
+    for place in places:
+        lines = {row[1]: [str(cell) for cell in row[2:]] for row in table.rows if row[0] == place}
+        assert list(lines) == ["RTE", "- LINEAR", "- LINEAR THERE", "- HUBER THERE"]
+        assert lines["- LINEAR"][1] == "-"
+        median, linear = (float(cell) for cell in lines["RTE"][:2])
+        assert float(lines["- LINEAR"][0].partition(" %")[0]) == pytest.approx(100 * (median / linear - 1), abs=1.0)
+        assert ("(" in lines["- LINEAR"][0]) == place.startswith("many")
     assert main(["--home", str(tmp_path / "none")]) == 1
     assert capsys.readouterr().out == ""
