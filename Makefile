@@ -4,7 +4,7 @@ BIN := .venv/bin
 WORKERS ?= 2
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: benchmark mixocity mixocity-failures pictures test integration integrations site faults browser coverage lint types unit format clean
+.PHONY: benchmark mixocity mixocity-failures weights pictures test integration integrations site faults browser coverage lint types unit format clean
 
 benchmark: .venv/installed  ## the leaderboard on the bundled recordings
 	$(BIN)/mixo benchmark
@@ -14,6 +14,9 @@ mixocity: .venv/integrations  ## the bundled recordings anew, from nothing: hour
 
 mixocity-failures: .venv/installed  ## the failure suite and its table, from nothing: hours; resumable
 	$(BIN)/python -m experiments.failures --workers $(WORKERS)
+
+weights: .venv/installed  ## weights that come with the package, anew; needed after new recordings or another fit; resumable
+	$(BIN)/mixo train --all --out mixo_env/policies/weights --workers $(WORKERS)
 
 # The images of the GIF's scene lie where `make mixocity` keeps them.
 pictures: .venv/integrations  ## figures of README and the page to play, after new recordings; PPO is trained for one of them

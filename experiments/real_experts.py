@@ -60,11 +60,16 @@ class RealExperts:
         """
         with tempfile.TemporaryDirectory() as scratch:
             out = Path(scratch) / "drives"
-            imported(self._folder(), self.rate, out)
+            imported(self.folder(), self.rate, out)
             recordings = load_recordings(str(out))
         return study(recordings, self.policies, self.seed)
 
-    def _folder(self) -> Path:
+    def folder(self) -> Path:
+        """Where the sequences lie.
+
+        Raises:
+            ConfigurationError: when nobody said.
+        """
         if self.data is not None:
             return self.data
         if "MIXO_REAL_DATA" not in os.environ:

@@ -1,40 +1,54 @@
-"""What rows that were fitted here are worth elsewhere: fitted once on one recording, played unchanged on others.
+"""What rows that were fitted here are worth elsewhere: fitted once on the bundled city, played unchanged.
 
-    python -m experiments.transfer --recordings city-of-seed-101 city-of-seed-102
-    python -m experiments.transfer --cameras CAM_FRONT CAM_BACK
+    python -m experiments.transfer --recordings city-of-seed-101 city-of-seed-102 --markdown
+    MIXO_REAL_DATA=/data python -m experiments.transfer --weights weights
 
-Every row is fitted on all folds of the bundled recordings. Elsewhere nothing is fitted but what a car's own drives tell
-of it (wheel radius, course offset, pose lag), from the other logs. Beside the rows stands LINEAR THERE: fitted, by
-cross-validation over logs, on the recordings that it is scored on.
+Other places are the same city at a slower clock or with two of four cameras (each scene played by a fit without its
+fold), other cities the same ways, night, and the real odometries of :mod:`experiments.real_experts`. There nothing is
+fitted but what a car's own drives tell of it (wheel radius, course offset, pose lag), from the other logs. Beside the
+rows stand LINEAR THERE, and HUBER THERE among strange experts: fitted, by cross-validation over logs, where they are
+scored.
 """
 
 from __future__ import annotations
 
+import logging
+import os
 import sys
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+import tempfile
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
-
+from experiments.places import Place, variants_of
+from experiments.real_experts import RealExperts, imported
 from experiments.studies import print_study
-from mixo_env.errors import ConfigurationError, unknown
+from mixo_env.errors import ConfigurationError, PolicyError
 from mixo_env.leaderboard.comparisons import Comparison
 from mixo_env.leaderboard.crossvalidation import CrossValidation, Run, Trial
-from mixo_env.leaderboard.evaluation import Truth, rollout
-from mixo_env.leaderboard.rows import Row, Scorer
+from mixo_env.leaderboard.evaluation import Truth
+from mixo_env.leaderboard.rows import Scorer
 from mixo_env.leaderboard.sentences import p_text, percent
-from mixo_env.policies.fitting import prepare
-from mixo_env.policies.policy import Policy
-from mixo_env.policies.registry import create
+from mixo_env.leaderboard.weights import shipped
 from mixo_env.recordings.collection import Recordings
+from mixo_env.recordings.folds import OUT_OF_DISTRIBUTION
 from mixo_env.recordings.store import load_recordings
-from mixo_env.recordings.truths import truths_of, with_truth
-from mixo_env.recordings.vehicles import with_training_constants
 from mixo_env.tables import Cell, Column, Table
 
-THERE = "LINEAR THERE"
-AGAINST = ("CAM_FRONT", "LINEAR", "HUBER", "MIXO", THERE)
+logger = logging.getLogger(__name__)
+
+THERE = ("LINEAR", "HUBER")
+"""What everyone is compared with; LINEAR is fitted where it is scored, too, HUBER where it cannot be brought."""
+
+NIGHT = "night"
+
+FEWEST_LOGS = 6
+"""With five logs no p falls below 2 / 2^5: none is printed then."""
+
+
+def there(name: str) -> str:
+    """How a row is called that was fitted where it is scored."""
+    return f"{name} THERE"
 
 
 @dataclass(frozen=True)
@@ -43,88 +57,107 @@ class Transfer:
 
     recordings: tuple[Path, ...] = ()
     """Recordings of other drives, by `mixo record`."""
-    night: bool = True
-    """The bundled drives at night, which are in no fold, too."""
-    cameras: tuple[str, ...] = ()
-    """Only these, in training and everywhere: another rig. Empty: all that are recorded."""
+    home: Path | None = None
+    """Recordings that rows are fitted on. None: the bundled mixocity."""
+    strides: tuple[int, ...] = (2, 3, 6)
+    """Slower clocks: every second, third and sixth image of 12 Hz."""
+    cameras: tuple[str, ...] = ("CAM_FRONT", "CAM_BACK")
+    """Left over where a rig of fewer cameras is played; none: it is not."""
     track: str = "VISION"
     """Who votes besides the cameras."""
-    rows: tuple[str, ...] = ("CAM_FRONT", "LINEAR", "HUBER", "STUDENT-T", "BIAS FILTER", "MIXO", "TOKEN", "TANDEM")
+    rows: tuple[str, ...] = (
+        *("CAM_FRONT", "MEDIAN", "LINEAR", "HUBER", "STUDENT-T", "BIAS FILTER", "MIXO", "TOKEN", "TANDEM"),
+    )
     """What is fitted and played."""
+    weights: Path | None = None
+    """Folder of `mixo train`. None: weights that come with the package."""
     seed: int = 0
     """Of everything random."""
+    markdown: bool = False
+    """Print a table for a page."""
 
     def run(self) -> Table:
         """Fit once, play everywhere."""
-        bundled = of_rig(load_recordings(None), self.cameras)
-        folds = sorted({scene.fold for scene in bundled.scenes if scene.fold >= 0})
-        training = with_training_constants(bundled.select(folds=folds), folds)
-        policies = [create(name, training) for name in self.rows]
-        for policy in policies:
-            prepare(policy, training, self.track, seed=self.seed)
-        places = {path.name: of_rig(load_recordings(str(path)), self.cameras) for path in self.recordings}
-        lines = [line for name, there in places.items() for line in self._lines(name, policies, there, False)]
-        if self.night and any(scene.fold < 0 for scene in bundled.scenes):
-            lines += self._lines("night", policies, bundled, True)
-        rig = f" with {', '.join(self.cameras)} alone" if self.cameras else ""
+        home = CrossValidation(self._load(self.home), self._trial())
+        shown = (*self.rows, *map(there, THERE))
+        lines: list[list[Cell]] = []
+        begins: list[int] = []
+        for place in self._places(home):
+            begins.append(len(lines))
+            lines += self._lines(place, home, shown)
+            logger.info("%s: done", place.name)
         caption = (
-            f"Fitted on {len(training)} scenes of {bundled.manifest.data_version}{rig}, track {self.track}, and played "
-            "elsewhere without refitting; headline truth, 95 % interval by bootstrap over logs; paired differences, "
-            f"p after Holm over all pairs of a place; {THERE}: fitted by cross-validation where it is scored (not at "
-            "night)"
+            f"Fitted on {home.recordings.manifest.data_version}, track {self.track}, and played elsewhere without "
+            "refitting: headline RTE [10⁻³ deg/m] and paired differences, p after Holm over all pairs of a place, none "
+            f"with fewer than {FEWEST_LOGS} logs; THERE: fitted by cross-validation where it is scored"
         )
-        columns = ("place", "row", "RTE deg/m", "ATE deg", *(f"- {name}" for name in AGAINST))
-        begins = [i for i in range(1, len(lines)) if lines[i][0] != lines[i - 1][0]]
-        return Table(caption, tuple(map(Column, columns)), lines, begins)
+        return Table(caption, tuple(map(Column, ("place", "what", *shown))), lines, begins[1:])
 
-    def _lines(self, place: str, policies: Sequence[Policy], there: Recordings, night: bool) -> list[list[Cell]]:
-        division = CrossValidation(there, Trial(self.seed), out_of_distribution=night)
-        headline = truths_of(division.recordings)[0]
-        tested = with_truth(division.recordings, headline)
-        scorer = Scorer(tested, {headline: Truth(tested)}, floor=0.0, seed=self.seed)
-        runs = [_run(policy, headline, tested, self.track) for policy in policies]
-        if not night:
-            own = division.run("LINEAR", self.track)
-            runs.append(replace(own, name=THERE, travels={headline: own.travels[headline]}, policies={}))
-        rows = [scorer.row(self.track, run) for run in runs]
-        found = scorer.compare(rows)
+    def _trial(self) -> Trial:
+        return Trial(self.seed, weights=self.weights or shipped())
+
+    def _load(self, folder: Path | None) -> Recordings:
+        return load_recordings(None if folder is None else str(folder))
+
+    def _places(self, home: CrossValidation) -> Iterator[Place]:
+        """Every place, the nearest first."""
+        yield from variants_of(Place("here", home, own=True), self.strides, self.cameras)
+        for folder in self.recordings:
+            division = CrossValidation(self._load(folder), Trial(self.seed))
+            yield from variants_of(Place(folder.name, division), self.strides, self.cameras)
+        recordings = self._load(self.home)
+        if any(scene.fold == OUT_OF_DISTRIBUTION for scene in recordings.scenes):
+            yield Place(NIGHT, CrossValidation(recordings, self._trial(), out_of_distribution=True))
+        if "MIXO_REAL_DATA" in os.environ:
+            study = RealExperts()
+            with tempfile.TemporaryDirectory() as scratch:
+                out = Path(scratch) / "drives"
+                imported(study.folder(), study.rate, out)
+                yield Place("real odometries", CrossValidation(load_recordings(str(out)), Trial(self.seed)))
+
+    def _lines(self, place: Place, home: CrossValidation, shown: Sequence[str]) -> list[list[Cell]]:
+        """RTE of every row, then its differences to those that everyone knows."""
+        tested = place.tested()
+        runs = {name: run for name in self.rows if (run := self._brought(place, name, home, tested)) is not None}
+        if place.name != NIGHT:
+            needed = [name for name in THERE if name == "LINEAR" or name not in runs]
+            runs |= {there(name): place.at_home_here(name, there(name), tested, self.track) for name in needed}
+        scorer = Scorer(tested, {"truth": Truth(tested)}, floor=0.0, seed=self.seed)
+        rows = {name: scorer.row(self.track, run) for name, run in runs.items()}
+        found = scorer.compare(list(rows.values()))
         logs = len({scene.log for scene in tested.scenes})
-        title = f"{place} ({len(tested)} scenes, {logs} logs)"
-        return [[title, *_cells(row, {name: found.between(row.name, name) for name in AGAINST})] for row in rows]
+        title = f"{place.name} ({len(tested)} scenes, {logs} logs)"
+        errors = {name: f"{1e3 * row.headline.rotation_deg_per_m.mean:.2f}" for name, row in rows.items()}
+        lines: list[list[Cell]] = [[title, "RTE", *(errors.get(name, "-") for name in shown)]]
+        for other in (name for name in (*THERE, *map(there, THERE)) if name in rows):
+            differences = (found.between(name, other) for name in shown)
+            lines.append([title, f"- {other}", *(_difference(one, logs >= FEWEST_LOGS) for one in differences)])
+        return lines
+
+    def _brought(self, place: Place, name: str, home: CrossValidation, tested: Recordings) -> Run | None:
+        """``None`` for a row that knows its experts by name, where others are."""
+        try:
+            return place.brought(name, home, tested, self.track)
+        except (ConfigurationError, PolicyError) as error:
+            logger.info("%s, %s: %s", place.name, name, error)
+            return None
 
 
-def of_rig(recordings: Recordings, cameras: Sequence[str]) -> Recordings:
-    """The recordings with these cameras alone, at the times of all of them.
-
-    Raises:
-        ConfigurationError: for a camera that is not recorded.
-    """
-    manifest = recordings.manifest
-    if not cameras:
-        return recordings
-    for name in cameras:
-        if name not in manifest.cameras:
-            raise ConfigurationError(unknown("camera", name, manifest.cameras))
-    variants = {name: camera for name, camera in manifest.variants.items() if camera in cameras}
-    costs = {name: cost for name, cost in manifest.camera_cost_ms.items() if name in cameras}
-    kept = tuple(name for name in manifest.cameras if name in cameras)
-    return recordings.replace(replace(manifest, cameras=kept, variants=variants, camera_cost_ms=costs))
+def _difference(found: Comparison | None, told: bool) -> str:
+    """With its p where there are logs enough for one."""
+    if found is None:
+        return "-"
+    return percent(found.share) + (f" ({p_text(found.p_holm)})" if told else "")
 
 
-def _run(policy: Policy, headline: str, tested: Recordings, track: str) -> Run:
-    travel = rollout(policy, tested, track)
-    everything = np.ones(len(tested), dtype=np.bool_)
-    return Run(policy.name, policy.privileged, policy.learns, {headline: (travel,)}, everything, {})
+def main(arguments: list[str] | None = None) -> int:
+    """Run the command line."""
 
+    def form(study: Transfer, table: Table) -> str:
+        return table.markdown() if study.markdown else table.text()
 
-def _cells(row: Row, differences: Mapping[str, Comparison | None]) -> list[Cell]:
-    score = row.headline
-    ends = score.rotation_deg_per_m
-    cells: list[Cell] = [row.name, f"{ends.mean:.5f} [{ends.low:.5f}, {ends.high:.5f}]", f"{score.ate_deg:.3f}"]
-    for found in differences.values():
-        cells.append(f"{percent(found.share)} ({p_text(found.p_holm)})" if found else "-")
-    return cells
+    return print_study(Transfer, arguments, form)
 
 
 if __name__ == "__main__":
-    sys.exit(print_study(Transfer))
+    sys.exit(main())

@@ -70,8 +70,8 @@ def test_training_goes_on_where_it_was_interrupted(
         "mixo: interrupted; finished pieces are kept, and the same command continues"
     )
     assert main(command) == 0
-    assert len(fits) == 5
-    assert "4 sets of weights" in capsys.readouterr().out
+    assert len(fits) == 6
+    assert "5 sets of weights" in capsys.readouterr().out
 
 
 def test_a_piece_that_is_not_what_its_stamp_says_is_refused(recordings: Recordings, tmp_path: Path) -> None:

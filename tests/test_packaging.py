@@ -13,6 +13,7 @@ import pytest
 
 ROOT = Path(__file__).parent.parent
 PACKAGES = ("mixo_env",)
+PIECE = "mixo_env/policies/weights/COVARIANCE INTERSECTION/VISION/all-folds-seed-0/policy.safetensors"
 
 pytestmark = pytest.mark.integration
 
@@ -29,6 +30,9 @@ def archives(tmp_path_factory):
     out, source = tmp_path_factory.mktemp("dist"), tmp_path_factory.mktemp("source") / "repository"
     # A copy without the egg-info of earlier builds, which would add whatever they had found.
     shutil.copytree(ROOT, source, ignore=shutil.ignore_patterns(".*", "*.egg-info", "__pycache__", "build", "results"))
+    piece = source / PIECE  # as `make weights` writes them, whether or not any are there
+    piece.parent.mkdir(parents=True, exist_ok=True)
+    piece.touch()
     run(sys.executable, "-m", "build", "--no-isolation", "--outdir", str(out), str(source), cwd=out)
     (wheel,), (sdist,) = out.glob("*.whl"), out.glob("*.tar.gz")
     return wheel, sdist
@@ -52,6 +56,7 @@ def test_both_archives_hold_every_file_of_the_packages(archives):
         in_sdist = {name.partition("/")[2] for name in archive.getnames()}
     expected = source_files()
     assert {"mixo_env/py.typed", "mixo_env/recordings/data/mixocity/recordings.parquet"} <= expected
+    expected |= {PIECE}
     assert expected - in_wheel == set()
     assert expected - in_sdist == set()
     assert {"LICENSE", "README.md", "pyproject.toml"} <= in_sdist

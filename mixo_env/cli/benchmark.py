@@ -49,8 +49,8 @@ class Benchmark:
     """A step from image to image, or between key frames (2 Hz) as in the paper."""
 
     weights: Path | None = None
-    """Folder written by `mixo train`: what it holds for just these recordings is not fitted again
-    (`-v` names it). None: all is fitted."""
+    """Folder written by `mixo train`: what it holds for just these recordings is not fitted again (`-v` names it).
+    None: weights that come with the package; with an empty folder all is fitted."""
 
     by: tuple[Literal["condition", "situation"], ...] = ()
     """Show tables by condition or by staged situation as well (leaderboard.json always holds them)."""
@@ -81,6 +81,7 @@ class Benchmark:
         from mixo_env.leaderboard.report import print_leaderboard, to_markdown
         from mixo_env.leaderboard.report_page import write_report
         from mixo_env.leaderboard.trajectories import write_all
+        from mixo_env.leaderboard.weights import shipped
         from mixo_env.recordings.store import load_recordings
 
         recordings = load_recordings(None if self.recordings is None else str(self.recordings))
@@ -97,7 +98,7 @@ class Benchmark:
                 recordings,
                 tracks=self.tracks,
                 policies=self.policies,
-                trial=Trial(self.seed, self.seeds, self.ground_truth, weights=self.weights),
+                trial=Trial(self.seed, self.seeds, self.ground_truth, weights=self.weights or shipped()),
                 progress=lambda _: report(next(begun), tables * len(rows)),
             )
         write_json(folder / "configuration.json", self._resolved(board, recordings))

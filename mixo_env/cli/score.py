@@ -21,13 +21,15 @@ class Score:
       mixo score my_policy:Mine                         a class of my_policy.py in this folder, fitted fold by fold
       mixo score my_policy.py:act --observation rich    a function of one observation
       mixo score saved/                                 a folder written by Policy.save
+      mixo score shipped:TOKEN --recordings other-city  weights that come with the package, without refitting
       mixo score ppo.zip --fitted-on train --folds 3    a network of Stable-Baselines3, never unpickled
     """
 
     interrupted: ClassVar[str] = "nothing was written: a table is computed in one go"
 
     policy: Annotated[str, tyro.conf.Positional]
-    """module:Class, file.py:Class (or a function), a saved folder, a zip of Stable-Baselines3, or a row's name."""
+    """module:Class, file.py:Class (or a function), a saved folder, a zip of Stable-Baselines3, a row's name, or
+    shipped:ROW (weights fitted on the bundled mixocity)."""
 
     track: str = "VISION"
     """Who votes besides the cameras: PAPER, VISION or CONSUMER; UNEQUAL: experts of other families."""

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from mixo_env.errors import ConfigurationError, PolicyError, unknown
 from mixo_env.leaderboard.evaluation import FLOORS, Travel, rollout, with_wheels
-from mixo_env.leaderboard.weights import fit_or_take
+from mixo_env.leaderboard.weights import UNFOLDED, fit_or_take, part
 from mixo_env.policies.fitting import drives, prepare
 from mixo_env.policies.outside import make_policy
 from mixo_env.policies.policy import Policy
@@ -51,7 +51,7 @@ class Trial:
     seed: int = 0
     seeds: int = 1
     ground_truth: GroundTruth = "poses"
-    outside: Mapping[str, type[Policy] | Policy] = field(default_factory=dict)
+    outside: Mapping[str, type[Policy] | Policy] = field(default_factory=dict, hash=False)
     weights: Path | None = None
     curves: Path | None = None
 
@@ -61,10 +61,6 @@ class Trial:
             raise ConfigurationError(f"seeds: expected 1 or more, got {self.seeds}")
         if self.weights is not None and not self.weights.is_dir():
             raise ConfigurationError(f"expected a folder of weights, got {self.weights}: write one with `mixo train`")
-
-
-UNFOLDED = -1
-"""Stands for the held-out fold where none is held out."""
 
 
 @dataclass(frozen=True)
@@ -262,18 +258,20 @@ class CrossValidation:
             OutputError: when it cannot be written.
         """
         policy, training, seed = self._create(name), self.training(fold), self._seed_of(fold, repetition)
-        part = Path(name) / track / f"fold-{fold}-seed-{repetition}"
-        if self.trial.curves is not None:
+        place = part(name, track, fold, repetition)
+        if self.trial.curves is not None and fold != UNFOLDED:
             from mixo_env.leaderboard.curves import watch
 
-            watch(policy, self.trial.curves / part, self.recordings.select(folds=[fold]), track)
+            watch(policy, self.trial.curves / place, self.recordings.select(folds=[fold]), track)
         if self.trial.weights is None or name in self.trial.outside:
             prepare(policy, training, track, seed=seed)
             return policy
-        return fit_or_take(policy, training, track, seed, self.trial.weights / part, keep=keep)
+        return fit_or_take(policy, training, track, seed, self.trial.weights / place, keep=keep)
 
     def pieces(self, names: Sequence[str], tracks: Sequence[str]) -> tuple[tuple[str, str, int, int], ...]:
-        """Name, track, fold and repetition of all that is fitted for these rows; an expensive one on the last fold.
+        """Name, track, fold and repetition of all that is fitted for these rows.
+
+        Every fold is held out in turn, then none, for night and other recordings; of an expensive row the last alone.
 
         Raises:
             PolicyError: with fewer than two folds.
@@ -286,7 +284,7 @@ class CrossValidation:
             if name not in FLOORS and self._kind(name).learns
             for track in tracks
             if self._kind(name).only_track in ("", track)
-            for fold in (self.folds[-1:] if self.expensive(name) else self.folds)
+            for fold in (self.folds[-1:] if self.expensive(name) else (*self.folds, UNFOLDED))
             for k in range(self.trial.seeds)
         )
 

@@ -15,6 +15,7 @@ from mixo_env.leaderboard.exports import comparison_json, to_json
 from mixo_env.leaderboard.report import scores_table
 from mixo_env.leaderboard.rows import Row
 from mixo_env.leaderboard.sentences import p_text
+from mixo_env.leaderboard.weights import PREFIX, shipped, shipped_piece
 from mixo_env.policies.agent import Frozen
 from mixo_env.policies.fitting import check, drives
 from mixo_env.policies.outside import Outside, Reading, resolve
@@ -101,8 +102,9 @@ def score(
     Args:
         policy: a :class:`~mixo_env.policies.policy.Policy`, its class, a function ``observation -> action``, or text:
             ``module:Class``, ``file.py:Class``, a folder written by ``Policy.save``, a zip of Stable-Baselines3, the
-            name of a row. A function sees what an agent of ``gym.make`` sees: by default the flat ``"paper"``
-            observation of one scene, and its action is read as by ``weights="softmax"``; see ``options``.
+            name of a row, ``shipped:ROW`` (weights that come with the package). A function sees what an agent of
+            ``gym.make`` sees: by default the flat ``"paper"`` observation of one scene, and its
+            action is read as by ``weights="softmax"``; see ``options``.
         recordings: scenes, or where they lie; ``None``: the bundled mixocity.
         track: who votes besides the cameras.
         folds: score the scenes of these only; empty: all.
@@ -114,6 +116,8 @@ def score(
         ConfigurationError: for an unknown track, fold, or text that means nothing.
         PolicyError: for a policy that cannot be made, does not fit, or was trained on a tested drive.
     """
+    if isinstance(policy, str) and policy.startswith(PREFIX):
+        policy = shipped_piece(policy, track)
     scenes = recordings if isinstance(recordings, Recordings) else load_recordings(recordings and str(recordings))
     trained = None if fitted_on is None else declared(fitted_on, scenes)
     options = options or Options()
@@ -130,7 +134,7 @@ def score(
         scenes,
         tracks=(track,),
         policies=names,
-        trial=Trial(options.seed, options.seeds, outside=outside),
+        trial=Trial(options.seed, options.seeds, outside=outside, weights=shipped()),
         folds=chosen,
         night=False,
         progress=progress,

@@ -77,7 +77,7 @@ def resampled_means(sums: FloatArray, counts: FloatArray, resamples: int, seed: 
     return ((drawn @ sums).T / (drawn @ counts)).T
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=32)  # a table by situation has groups of many sizes
 def draws(groups: int, resamples: int, seed: int) -> FloatArray:
     """``(resamples, groups)`` how often each was drawn. Read only: all methods of a table share them."""
     drawn = np.random.default_rng(seed).multinomial(groups, np.full(groups, 1.0 / groups), size=resamples)

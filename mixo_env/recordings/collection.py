@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -78,6 +80,15 @@ class Recordings:
     def column_names(self) -> tuple[str, ...]:
         """All columns in file order."""
         return tuple(self._columns)
+
+    @cached_property
+    def fingerprint(self) -> bytes:
+        """Hash of every column, to the last bit."""
+        digest = hashlib.blake2b(digest_size=16)
+        for name in sorted(self._columns):
+            digest.update(name.encode())
+            digest.update(np.ascontiguousarray(self._columns[name]).tobytes())
+        return digest.digest()
 
     @property
     def counting(self) -> tuple[str, ...]:

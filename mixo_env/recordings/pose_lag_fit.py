@@ -206,7 +206,7 @@ class _Windows:
         agreed = np.isfinite(self._gain) & (np.abs(z) <= HUBER_SIGMAS)
         share = max(np.isfinite(self._gain).mean(), 1e-9)  # windows without neighbours inform as well
         information = float(np.sum((gain * self._gain / sigma_rad**2)[agreed]) / share)
-        return float(np.sqrt(score @ score) / information) if information > 0.0 else float("inf")
+        return float(np.sqrt((score * score).sum()) / information) if information > 0.0 else float("inf")
 
 
 def _rate_gain(source: Turns) -> FloatArray:

@@ -70,9 +70,11 @@ def fit_vehicle_constants(training: Recordings, vehicles: Iterable[str]) -> dict
         own = owner == name
         of = own if true_m[own].sum() >= LEAST_DISTANCE_M else everyone
         recorded, gained, true = distance_m[of], gained_mps[of], true_m[of]
+        # Sums, not scalar products: those of long vectors depend in their last bits on the number of threads.
+        crossed, squared, wanted = (float((gained * other).sum()) for other in (recorded, gained, true))
         scale, latency_s = np.linalg.solve(
-            [[recorded.sum(), gained.sum()], [gained @ recorded, max(gained @ gained, LEAST_GAIN)]],
-            [true.sum(), gained @ true],
+            [[recorded.sum(), gained.sum()], [crossed, max(squared, LEAST_GAIN)]],
+            [true.sum(), wanted],
         )
         return VehicleConstants(
             wheel_scale=float(scale),

@@ -153,7 +153,11 @@ def write_kitti(path: Path, trajectory: Trajectory) -> None:
 
 
 def _text(rows: FloatArray) -> str:
-    return "".join(" ".join(map(repr, row)) + "\n" for row in rows.tolist())
+    """Shortest numbers that give the same bits, or nan; a JSON encoder is four times as fast as repr."""
+    from msgspec import json
+
+    encoded = json.encode(rows.tolist())[2:-2].replace(b"null", b"nan")
+    return encoded.replace(b"],[", b"\n").replace(b",", b" ").decode() + "\n" if len(rows) else ""
 
 
 def _without_row_numbers(table: NumberTable) -> NumberTable:
