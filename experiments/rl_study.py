@@ -19,7 +19,7 @@ from typing import Any
 import msgspec
 import numpy as np
 
-from experiments.rl_training import CLONE, Field, Learner, Point, Training, errors, train
+from experiments.rl_training import CLONE, Field, Learner, Point, Training, train
 from experiments.studies import print_study
 from mixo_env.errors import ConfigurationError, ResultsError, printable, unknown
 from mixo_env.files import atomic_path, writable_folder, write_json
@@ -201,8 +201,8 @@ def goals_of(field: Field) -> Goals:
     prepare(linear, field.training, field.track)
     for seed, gate in enumerate(gates):
         prepare(gate, field.training, field.track, seed=seed)
-    yaw, rte = np.mean([errors(gate, field.test, field.track) for gate in gates], axis=0)
-    return Goals(errors(linear, field.test, field.track), (float(yaw), float(rte)))
+    yaw, rte = np.mean([field.errors(gate) for gate in gates], axis=0)
+    return Goals(field.errors(linear), (float(yaw), float(rte)))
 
 
 def reached(training: Training, goal: tuple[float, float], measure: int) -> Point | None:
@@ -252,7 +252,7 @@ def table(found: Mapping[tuple[str, str], list[Training]], goals: Mapping[str, l
 
 
 def draw(found: Mapping[tuple[str, str], list[Training]], goals: Mapping[str, list[Goals]], out: Path) -> None:
-    """Curves of every agent: mean over seeds and folds, and the range from the best to the worst."""
+    """Curves of every agent: the mean, and every seed and fold as a thin line."""
     import matplotlib as mpl
 
     mpl.use("Agg")
@@ -265,8 +265,8 @@ def draw(found: Mapping[tuple[str, str], list[Training]], goals: Mapping[str, li
                 shortest = min(len(t.curve) for t in trainings)
                 values = np.array([[p.errors[measure] for p in t.curve[:shortest]] for t in trainings])
                 steps = [max(p.steps, 1) / 1000 for p in trainings[0].curve[:shortest]]
-                (line,) = axis.plot(steps, values.mean(axis=0), label=name)
-                axis.fill_between(steps, values.min(axis=0), values.max(axis=0), alpha=0.15, color=line.get_color())
+                (line,) = axis.plot(steps, values.mean(axis=0), linewidth=2, label=name)
+                axis.plot(steps, values.T, linewidth=0.7, alpha=0.5, color=line.get_color())
             for who, style in (("linear", "--"), ("mixo", ":")):
                 goal = float(np.mean([getattr(g, who)[measure] for g in all_goals]))
                 axis.axhline(goal, color="black", linestyle=style, linewidth=1, label=who.upper())

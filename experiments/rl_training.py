@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -91,6 +92,16 @@ class Field:
     test: Recordings
     track: str
 
+    def errors(self, policy: Policy) -> tuple[float, float]:
+        """Yaw RMSE [deg] and RTE [deg/m] of a prepared policy on the held-out scenes."""
+        measured = self._truth.measure(rollout(policy, self.test, self.track))
+        yaw = np.sqrt(measured.squared_yaw_increment_deg2.sum() / measured.steps.sum())
+        return float(yaw), float(measured.relative.rotation_deg_per_m.mean())
+
+    @cached_property
+    def _truth(self) -> Truth:
+        return Truth(self.test)
+
 
 class TimedEnv(MixoVecEnv):
     """Counts the CPU seconds spent in its steps."""
@@ -103,13 +114,6 @@ class TimedEnv(MixoVecEnv):
         result = super().step_wait()
         self.seconds += time.process_time() - start
         return result
-
-
-def errors(policy: Policy, test: Recordings, track: str) -> tuple[float, float]:
-    """Yaw RMSE [deg] and RTE [deg/m] of a prepared policy on scenes that carry their true poses."""
-    measured = Truth(test).measure(rollout(policy, test, track))
-    yaw = np.sqrt(measured.squared_yaw_increment_deg2.sum() / measured.steps.sum())
-    return float(yaw), float(measured.relative.rotation_deg_per_m.mean())
 
 
 class Watch(BaseCallback):
@@ -131,7 +135,7 @@ class Watch(BaseCallback):
         """Evaluate now."""
         self._seconds += time.process_time() - self._since
         self._agent.take(self.model)
-        errors_now = errors(self._agent, self._field.test, self._field.track)
+        errors_now = self._field.errors(self._agent)
         self.curve.append(Point(self.num_timesteps, self._seconds, *errors_now))
         self._since = time.process_time()
 
@@ -176,7 +180,7 @@ def _cloned(agent: Reinforced, field: Field, model: Any, steps: int) -> list[Poi
 
     def look(shown: int, seconds: float) -> None:
         agent.take(model)
-        curve.append(Point(shown, seconds, *errors(agent, field.test, field.track)))
+        curve.append(Point(shown, seconds, *field.errors(agent)))
 
     look(0, 0.0)
     clone(agent, for_learning(field.training), field.track, model, steps, look)
