@@ -52,6 +52,7 @@ def test_an_interruption_says_what_is_kept(
         "Train": ["train", "LINEAR", "--out", "weights"],
         "Search": ["search"],
         "Score": ["score", "LINEAR"],
+        "View": ["view"],
         "Simulate": ["simulate", "city"],
         "Inspect": ["inspect", "root"],
         "Record": ["record", "root", "--out", "out"],

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import simplejpeg
 
 from experiments.mixocity import CONFIG, DATA_VERSION
 from mixo_env.files import write_bytes
@@ -17,9 +16,10 @@ from mixo_env.nuscenes.tables import open_dataset
 from mixo_env.recordings.record import RecordConfig, default_experts
 from mixo_env.recordings.steps import record_scene
 from mixo_env.recordings.store import load_recordings
-from mixo_env.simulator.dataset import JPEG_QUALITY, _renderer, simulate
+from mixo_env.simulator.dataset import _renderer, simulate
 from mixo_env.simulator.drive.scenario import plan_logs
 from mixo_env.simulator.drive.scenes import pictures, simulate_scene
+from mixo_env.simulator.drive.spoiling import encoded
 
 SCENE, CAMERA, IMAGES = "scene-2006", "CAM_FRONT", 120
 
@@ -45,7 +45,7 @@ def test_one_scene_comes_out_the_same(tmp_path: Path) -> None:
     one = replace(CONFIG, cameras=(CAMERA,))
     frames = pictures(one, log, plan, simulate_scene(one, log, plan, tmp_path), _renderer(one, log))
     for path, image in itertools.islice(frames, IMAGES):
-        write_bytes(path, simplejpeg.encode_jpeg(image, quality=JPEG_QUALITY, colorspace="RGB"))
+        write_bytes(path, encoded(image))
     scene = open_dataset(tmp_path).load(SCENE, (CAMERA,))
     reel = first_images(scene.cameras[CAMERA], image_us[0], IMAGES)
     anew, _ = record_scene(replace(scene, cameras={CAMERA: reel}), default_experts(RecordConfig(), SCENE))

@@ -99,7 +99,7 @@ def test_an_interrupted_run_continues(folder, tmp_path, monkeypatch):
     def stops_after_two(*arguments):
         if len(calls) == 2:
             raise KeyboardInterrupt
-        calls.append(arguments[2].name)
+        calls.append(arguments[1][1].name)
         real(*arguments)
 
     out = tmp_path / "city"
@@ -109,7 +109,7 @@ def test_an_interrupted_run_continues(folder, tmp_path, monkeypatch):
     assert calls == ["scene-2001", "scene-2002"]
     assert not (out / "v1.0-mixo").exists()  # nothing that could be taken for a data set
     monkeypatch.setattr(
-        dataset, "_simulate_scene", lambda *arguments: (calls.append(arguments[2].name), real(*arguments))
+        dataset, "_simulate_scene", lambda *arguments: (calls.append(arguments[1][1].name), real(*arguments))
     )
     seen = []
     simulate(TINY, out, progress=lambda done, total: seen.append((done, total)))
