@@ -4,7 +4,7 @@ BIN := .venv/bin
 WORKERS ?= 2
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: benchmark mixocity mixocity-failures weights pictures test integration integrations site faults browser coverage lint types unit format clean
+.PHONY: benchmark mixocity mixocity-failures weights pictures test integration integrations rendering site faults browser coverage lint types unit format clean
 
 benchmark: .venv/installed  ## the leaderboard on the bundled recordings
 	$(BIN)/mixo benchmark
@@ -40,10 +40,13 @@ types: .venv/installed
 unit: .venv/installed
 	$(BIN)/python -m pytest -n 2 --dist loadscope -m "not integration"
 
-integration: integrations site faults browser  ## minutes each; peers that are absent are skipped
+integration: integrations rendering site faults browser  ## minutes each; peers that are absent are skipped
 
 integrations: .venv/integrations  ## other libraries, programs and virtual environments
-	$(BIN)/python -m pytest -n 2 --dist loadscope -m "integration and not site and not faults and not browser"
+	$(BIN)/python -m pytest -n 2 --dist loadscope -m "integration and not rendering and not site and not faults and not browser"
+
+rendering: .venv/integrations  ## what the simulator draws
+	$(BIN)/python -m pytest -n 2 --dist loadscope -m rendering
 
 site: .venv/integrations  ## README, pages and notebook, followed word by word
 	$(BIN)/python -m pytest -n 2 --dist loadscope -m site

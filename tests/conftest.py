@@ -6,7 +6,7 @@ import pytest
 
 from tests.browser import browser, page  # noqa: F401
 
-PARTS = ("site", "faults", "browser")
+PARTS = ("rendering", "site", "faults", "browser")
 
 
 @pytest.hookimpl(tryfirst=True)

@@ -21,6 +21,8 @@ from mixo_env.recordings.store import load_recordings
 from mixo_env.simulator.config import FAULTS
 from mixo_env.simulator.drive.scenario import plan_logs
 
+pytestmark = pytest.mark.rendering
+
 ROWS = ("CAM_FRONT", "LINEAR", "HUBER")
 KINDS_HERE = ("ordinary", "black")
 

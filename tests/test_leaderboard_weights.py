@@ -166,7 +166,7 @@ def test_slow_agents_are_fitted_for_one_fold_of_one_track_and_ppo_for_all(record
     assert [piece for piece in pieces if piece[0] == "SAC"] == [
         ("SAC", "CONSUMER", division.folds[-1], k) for k in (0, 1)
     ]
-    assert len(pieces) == 2 + 2 * 2 * len(division.folds)
+    assert len(pieces) == 2 + 2 * 2 * (len(division.folds) + 1)  # every fold held out, then none
     assert shown_in(recordings, "CONSUMER", ("PPO", "SAC")) == ("PPO", "SAC")
     assert shown_in(recordings, "VISION", ("PPO", "SAC")) == ("PPO",)
     with pytest.raises(

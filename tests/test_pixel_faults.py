@@ -21,6 +21,8 @@ from mixo_env.simulator.drive.scenes import scene_drive
 from mixo_env.simulator.drive.traffic import stage_traffic
 from mixo_env.simulator.picture.faults import KINDS, LOST_SWEEPS, PixelFault, Shot, dropped, glaring_sun, knock, spoil
 
+pytestmark = pytest.mark.rendering
+
 TINY = SimulationConfig(scenes=1, scenes_per_log=1, seconds=2, width=160, height=90, cameras=("CAM_FRONT", "CAM_BACK"))
 AT_RENDERING = {"dropped", "knocked"}
 

@@ -23,6 +23,8 @@ from mixo_env.simulator.drive.scenario import plan_logs
 from mixo_env.simulator.drive.scenes import camera_pose, pictures, simulate_scene
 from mixo_env.simulator.picture.render import CameraPose, Renderer
 
+pytestmark = pytest.mark.rendering
+
 CONFIG = SimulationConfig(scenes=1, seconds=2, width=320, height=180, cameras=("CAM_FRONT", "CAM_BACK"))
 
 

@@ -28,6 +28,8 @@ from mixo_env.simulator.picture.render import CameraPose, Renderer
 from mixo_env.simulator.picture.sampling import even_cells
 from mixo_env.simulator.picture.views import MATERIAL, U_CONSTANT, V_CONSTANT, Textures, View
 
+pytestmark = pytest.mark.rendering
+
 SEEDS = range(12)
 STEEP = 9
 """A land with slopes of 4 % and bends."""

@@ -20,6 +20,8 @@ from mixo_env.simulator.picture.render import Renderer
 from mixo_env.simulator.picture.weather import weather_named
 from tests.tiny_world import camera, plain_texture, pose, surface, world_of
 
+pytestmark = pytest.mark.rendering
+
 FOCAL = 0.79
 
 

@@ -13,6 +13,8 @@ from mixo_env.simulator.city.mesh import Mesh, normals
 from mixo_env.simulator.city.textures import Atlas
 from mixo_env.simulator.city.vehicle_models import vehicle_models
 
+pytestmark = pytest.mark.rendering
+
 
 class _Kept(Atlas):
     """Remembers the pictures it is given."""

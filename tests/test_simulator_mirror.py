@@ -13,6 +13,8 @@ from mixo_env.simulator.city.mesh import GROUND, SHADE, SOLID
 from mixo_env.simulator.picture.mirror import mirror_road
 from mixo_env.simulator.picture.views import Seen, View
 
+pytestmark = pytest.mark.rendering
+
 LENS = np.array([150.0, 150.0, 80.2, 45.3])
 POSITION = np.array([3.0, -2.0, 1.5])
 ROAD, PAVEMENT, WALL, POLE, UNDER = range(5)

@@ -17,6 +17,8 @@ from mixo_env.simulator.drive.people import Person, clash, stage_people
 from mixo_env.simulator.drive.targets import Motion, deal_motions
 from mixo_env.simulator.drive.traffic import Vehicle, car_itself, scene_clock, stage_traffic
 
+pytestmark = pytest.mark.rendering
+
 SECONDS = 12.0
 
 

@@ -23,6 +23,8 @@ from mixo_env.simulator.picture.render import Renderer
 from mixo_env.simulator.picture.weather import WEATHERS
 from tests.tiny_world import camera, pose
 
+pytestmark = pytest.mark.rendering
+
 
 def small_world(seed: int, **plan: Any) -> World:
     return build_world(seed, CityPlan(half_blocks=1, variety=2, ground_side=512, **plan))

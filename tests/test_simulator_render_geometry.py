@@ -17,6 +17,8 @@ from mixo_env.simulator.picture.fleet import body_motions, moving_states
 from mixo_env.simulator.picture.render import CameraPose, Renderer
 from tests.tiny_world import CHANNELS, FLAT, camera, cast, plain_texture, pose, surface, world_of
 
+pytestmark = pytest.mark.rendering
+
 WHITE, RED, BLUE = plain_texture(255, 255, 255), plain_texture(255, 0, 0), plain_texture(0, 0, 255)
 
 

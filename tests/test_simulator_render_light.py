@@ -19,6 +19,8 @@ from mixo_env.simulator.picture.sampling import Size, Walk, add_texels, even_cel
 from mixo_env.simulator.picture.views import View
 from tests.tiny_world import FLAT, SUN, camera, plain_texture, pose, surface, world_of
 
+pytestmark = pytest.mark.rendering
+
 HOUSE = np.array([(0.0, 0.0), (10.0, 0.0), (10.0, 20.0), (0.0, 20.0)])
 
 

@@ -17,6 +17,8 @@ from mixo_env.simulator.picture.render import Renderer
 from mixo_env.simulator.picture.weather import weather_named
 from tests.tiny_world import camera, pose
 
+pytestmark = pytest.mark.rendering
+
 
 @pytest.fixture(scope="module")
 def world() -> World:
