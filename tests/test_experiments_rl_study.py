@@ -21,6 +21,8 @@ from mixo_env.recordings.store import save_recordings
 from mixo_env.recordings.truths import for_learning
 from tests.synthetic import synthetic_recordings
 
+pytestmark = pytest.mark.integration
+
 CURVE = [Point(0, 0.0, 0.9, 0.9), Point(100, 1.0, 0.5, 0.8), Point(200, 2.0, 0.6, 0.2)]
 
 

@@ -18,6 +18,8 @@ from mixo_env.geometry import rotation_from_yaw
 from tests.rigid_body import camera_displacement
 from tests.test_monocular_motion import AXES, CAMERAS, CENTRE, HEIGHT, RATE_HZ, WIDTH, street
 
+pytestmark = pytest.mark.integration
+
 GAP_S = 1.0 / RATE_HZ
 
 

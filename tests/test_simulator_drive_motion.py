@@ -11,6 +11,8 @@ from mixo_env.simulator.drive.drive import DRIVE_RATE_HZ, MARGIN_S, Drive, plan_
 from mixo_env.simulator.drive.localisation import localise
 from mixo_env.simulator.drive.targets import Motion, deal_motions
 
+pytestmark = pytest.mark.rendering
+
 COURSE_OFFSET_RAD = np.radians(-0.5)
 SITUATIONS = ("ordinary", *SituationShares().by_name())
 

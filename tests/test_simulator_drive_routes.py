@@ -10,6 +10,8 @@ from mixo_env.simulator.city.streets import BLOCK_M, HALF_CITY_BLOCKS, HALF_ROAD
 from mixo_env.simulator.drive.routes import LEFT, MAX_OFFSET_M, PASSING_M, RIGHT, STEP_M, STRAIGHT, Route, plan_route
 from mixo_env.simulator.drive.traffic import CAR_WIDTH_M, REAR_AXLE_TO_FRONT_M, REAR_AXLE_TO_REAR_M
 
+pytestmark = pytest.mark.rendering
+
 
 def routes(count: int = 40, land: Land | None = None) -> list[Route]:
     """Routes on as many lands, or on one."""

@@ -18,6 +18,8 @@ from mixo_env.simulator.drive.localisation import localise
 from mixo_env.simulator.drive.scenario import generator, plan_logs
 from mixo_env.simulator.drive.scenes import scene_drive
 
+pytestmark = pytest.mark.rendering
+
 # Largest Kolmogorov-Smirnov distance to the known quantiles of the real distribution.
 LIMITS = {
     "speed_1s_mps": 0.05,

@@ -19,6 +19,8 @@ from mixo_env.simulator.drive.traffic import (
     stage_traffic,
 )
 
+pytestmark = pytest.mark.rendering
+
 SITUATIONS = ("ordinary", *SituationShares().by_name())
 TIMES_S = np.arange(0.0, 20.0, 0.25)
 

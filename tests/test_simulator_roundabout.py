@@ -22,6 +22,8 @@ from mixo_env.simulator.drive.routes import LEFT, RIGHT, STRAIGHT, Route, plan_r
 from mixo_env.simulator.drive.targets import deal_motions
 from mixo_env.simulator.drive.traffic import car_itself, scene_clock, stage_traffic
 
+pytestmark = pytest.mark.rendering
+
 EVERYWHERE = frozenset(
     (i, j)
     for i in range(-HALF_CITY_BLOCKS, HALF_CITY_BLOCKS + 1)

@@ -108,6 +108,7 @@ def test_headline_tracks_keep_their_bits(bare: Recordings, recordings: Recording
     assert recordings.manifest.linear_weights[track] == bare.manifest.linear_weights[track]
 
 
+@pytest.mark.integration
 def test_headline_tables_keep_their_bits(bare: Recordings, recordings: Recordings) -> None:
     """Every number of every row: policies, oracles, floors, comparisons, letters, conditions."""
     rows = [name for name in names(bare) if name not in ("MIXO", *AGENTS)] + ["PERFECT YAW", "NOISE FLOOR"]
