@@ -132,7 +132,7 @@ def swapped(folder: Path) -> None:
 
 FAULTS: dict[str, Damage] = {
     **{f"rows cut at {share}": cut(share) for share in (0, 1e-4, 0.01, 0.1, 0.25, 0.5, 0.75, 0.9, 0.97, 0.999)},
-    **{f"bit flipped at {share}": flipped(share, i % 8) for i, share in enumerate((0.05, 0.2, 0.4, 0.5, 0.8, 1.0))},
+    **{f"bit flipped at {share}": flipped(share, i % 8) for i, share in enumerate((0.05, 0.1, 0.2, 0.3, 0.4, 1.0))},
     "rows: zeros": rows_file(lambda data: bytes(len(data))),
     "rows: appended to": rows_file(lambda data: data + b"more"),
     "rows: shifted": rows_file(lambda data: data[:4] + data),

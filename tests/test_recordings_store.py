@@ -209,7 +209,7 @@ def test_an_old_file_without_own_windows_is_one_line_that_says_what_to_do(folder
     with pytest.raises(RecordingError) as error:
         load_recordings(folder)
     said = str(error.value)
-    assert "missing columns: CAM_FRONT.own_window_s, " in said
+    assert "missing columns: CAM_FRONT.own_window_yaw_increment_rad, " in said
     assert "record anew with `mixo record" in said
     assert "\n" not in said
     assert len(said) < 300 + len(str(folder))

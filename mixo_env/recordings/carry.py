@@ -12,8 +12,7 @@ that tail as well: the own increment is scaled to the length of the step.
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -54,42 +53,10 @@ class OwnWindows:
     tail_s: FloatArray
 
 
-@dataclass(frozen=True)
-class _Step:
-    """A carried step as a linear form: ``weights @ increments[first : last + 1]``.
-
-    Attributes:
-        weights: of the increments of rows ``first`` to ``last``.
-        end_s2, start_s2: error of the held tail per unit of yaw acceleration, at either end of the step.
-        apart_s: between the two windows whose accelerations these are.
-    """
-
-    first: int
-    last: int
-    weights: FloatArray
-    end_s2: float
-    start_s2: float
-    apart_s: float
-
-    def increment(self, own: OwnWindows) -> float:
-        """The carried increment [rad]; NaN if one that counts is missing."""
-        return float(self._form(own.increment_rad).sum())
-
-    def std(self, own: OwnWindows) -> float:
-        """Its standard deviation [rad]: noise of the own increments, and yaw acceleration during the tails."""
-        noise = self._form(own.std_rad)
-        variance = noise @ noise + 2.0 * NOISE_CORRELATION * (noise[:-1] @ noise[1:])
-        alike = np.exp(-self.apart_s / YAW_ACCELERATION_TIME_S)
-        held = self.end_s2**2 + self.start_s2**2 - 2.0 * alike * self.end_s2 * self.start_s2
-        return float(np.sqrt(variance + YAW_ACCELERATION_RADPS2**2 * held))
-
-    def _form(self, values: FloatArray) -> FloatArray:
-        counted = self.weights != 0.0
-        return np.where(counted, self.weights * np.where(counted, values[self.first : self.last + 1], 0.0), 0.0)
-
-
 def carry(own: OwnWindows, closing: ArrayLike | None = None) -> tuple[FloatArray, FloatArray]:
     """Increments over the steps and their standard deviations.
+
+    A step from row i to row k is a linear form in the own increments of rows i to k: ones, 0 at i, and the held tails.
 
     Args:
         own: of one camera.
@@ -100,26 +67,39 @@ def carry(own: OwnWindows, closing: ArrayLike | None = None) -> tuple[FloatArray
         within the step or the image that opens it is missing.
     """
     rows = np.arange(len(own.tail_s)) if closing is None else np.asarray(closing, dtype=np.int64)
-    steps = list(_steps(own, rows))
-    increments = np.array([np.nan, *(step.increment(own) for step in steps)])[: len(rows)]
-    return increments, np.array([np.nan, *(step.std(own) for step in steps)])[: len(rows)]
-
-
-def _steps(own: OwnWindows, closing: NDArray[np.int64]) -> Iterator[_Step]:
-    """The steps between consecutive rows of ``closing``."""
-    has_rate = np.isfinite(own.increment_rad) & np.isfinite(own.window_s) & np.isfinite(own.tail_s)
+    increments, stds = np.full((2, len(rows)), np.nan)
+    if len(rows) < 2:
+        return increments, stds
     window, tail = own.window_s, own.tail_s
-    for i, k in itertools.pairwise(closing.tolist()):
-        # The window whose rate is held over the tail at the start of the step: the one before, else the next.
-        j = i if has_rate[i] else i + 1
-        weights = np.ones(k - i + 1)
-        weights[0] = 0.0
-        weights[-1] += tail[k] / window[k]
-        weights[j - i] -= tail[i] / window[j]
-        # The mean rate of a window differs from that of the tail by the acceleration times the time between middles.
-        end = 0.5 * tail[k] * (tail[k] + window[k])
-        start = 0.5 * tail[i] * (tail[i] + (window[j] if j == i else -window[j]))
-        yield _Step(i, k, weights, float(end), float(start), float(window[j + 1 : k + 1].sum()))
+    i, k = rows[:-1], rows[1:]
+    has_rate = np.isfinite(own.increment_rad) & np.isfinite(window) & np.isfinite(tail)
+    j = np.where(has_rate[i], i, i + 1)  # whose rate is held over the tail at the start: the one before, else the next
+    first = np.concatenate([[0], np.cumsum(k - i + 1)[:-1]])  # the rows of one step after those of another
+    row = np.arange(first[-1] + k[-1] - i[-1] + 1) + np.repeat(i - first, k - i + 1)
+    weights = np.ones(len(row))
+    weights[first] = 0.0
+    weights[first + k - i] += tail[k] / window[k]
+    weights[first + j - i] -= tail[i] / window[j]
+
+    increments[1:] = np.add.reduceat(_weighted(weights, own.increment_rad[row]), first)
+    noise = _weighted(weights, own.std_rad[row])
+    beside = np.append(noise[:-1] * noise[1:], 0.0)
+    beside[first + k - i] = 0.0  # the next step's
+    variance = np.add.reduceat(noise * noise, first) + 2.0 * NOISE_CORRELATION * np.add.reduceat(beside, first)
+    # The mean rate of a window differs from that of the tail by the acceleration times the time between middles.
+    end = 0.5 * tail[k] * (tail[k] + window[k])
+    start = 0.5 * tail[i] * (tail[i] + np.where(j == i, window[j], -window[j]))
+    apart = np.add.reduceat(np.where(row > np.repeat(j, k - i + 1), window[row], 0.0), first)
+    alike = np.exp(-apart / YAW_ACCELERATION_TIME_S)
+    held = end**2 + start**2 - 2.0 * alike * end * start
+    stds[1:] = np.sqrt(variance + YAW_ACCELERATION_RADPS2**2 * held)
+    return increments, stds
+
+
+def _weighted(weights: FloatArray, values: FloatArray) -> FloatArray:
+    """Products, 0 where the weight is 0 even if the value is missing."""
+    counted = weights != 0.0
+    return np.where(counted, weights * np.where(counted, values, 0.0), 0.0)
 
 
 def scaled_to_step(two_frame_rad: ArrayLike, window_s: ArrayLike, tail_s: ArrayLike) -> FloatArray:

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import hashlib
+import itertools
 import shutil
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
 from mixo_env.recordings.collection import Column
+from mixo_env.recordings.derived import completed, scene_rows
 from mixo_env.recordings.schema import Manifest
 from mixo_env.recordings.store import MANIFEST_FILE, NEXT_FILE, RECORDINGS_FILE, values_hash
 
@@ -16,10 +19,9 @@ from mixo_env.recordings.store import MANIFEST_FILE, NEXT_FILE, RECORDINGS_FILE,
 def sound_scenes(folder: Path, manifest: Manifest) -> dict[str, dict[str, Column]]:
     """Columns of the scenes that can still be read and are those of the manifest, by name."""
     scene_of = {scene.values_hash: scene.name for scene in manifest.scenes}
-    rows = {scene.rows for scene in manifest.scenes}
     found: dict[str, dict[str, Column]] = {}
     for name in (RECORDINGS_FILE, NEXT_FILE):
-        for columns in _row_groups(folder / name, rows):
+        for columns in _scenes(folder / name, manifest):
             scene = scene_of.get(values_hash(columns))
             if scene is not None:
                 found[scene] = columns
@@ -39,8 +41,20 @@ def set_aside(folder: Path) -> Path:
     return aside
 
 
-def _row_groups(path: Path, rows: set[int]) -> list[dict[str, Column]]:
-    """Columns of every row group that can be read and has one of these numbers of rows."""
+def _scenes(path: Path, manifest: Manifest) -> Iterator[dict[str, Column]]:
+    """Columns of every scene in the row groups that can be read."""
+    for group in _row_groups(path):
+        try:
+            columns = completed(group, manifest)
+            end = np.cumsum(scene_rows(columns))
+        except (KeyError, ValueError, TypeError):  # a column is missing, or is not of numbers
+            continue
+        for first, last in itertools.pairwise([0, *end.tolist()]):
+            yield {name: values[first:last] for name, values in columns.items()}
+
+
+def _row_groups(path: Path) -> list[dict[str, Column]]:
+    """Columns of every row group that can be read."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -49,8 +63,6 @@ def _row_groups(path: Path, rows: set[int]) -> list[dict[str, Column]]:
         with pq.ParquetFile(pa.BufferReader(path.read_bytes())) as file:
             for i in range(file.num_row_groups):
                 try:
-                    if file.metadata.row_group(i).num_rows not in rows:
-                        continue
                     table = file.read_row_group(i, use_threads=False)
                     groups.append({name: np.array(table.column(name).to_numpy()) for name in table.column_names})
                 except Exception:  # the reader raises almost anything, depending on which byte is wrong

@@ -127,7 +127,7 @@ def _record_steps(columns: Columns, scene: Scene, rounds: Rounds) -> None:
     columns["step"][:] = np.arange(len(rounds))
     columns["timestamp_us"][:] = closing
     columns["time_s"][:] = 1e-6 * (closing - closing[0])
-    columns["dt_s"][1:] = 1e-6 * np.diff(closing)
+    columns["dt_s"][:] = 1e-6 * np.diff(closing, prepend=closing[:1])
     truth = step_truth(scene.cameras, rounds) | (exact_truth(scene.exact, rounds) if scene.exact else {})
     for name, values in truth.items():
         columns[name][:] = values

@@ -1,4 +1,7 @@
-"""Recordings on disk: one Parquet file with a row group per scene, and ``manifest.json`` beside it.
+"""Recordings on disk: one Parquet file, and ``manifest.json`` beside it.
+
+A row group holds one scene, in large recordings a few: opening many groups takes longer than reading them. Columns that
+follow from others (:mod:`mixo_env.recordings.derived`) are not stored.
 
 What is read is checked against the manifest: schema version, columns, row counts and a hash of every scene's column
 values, so a truncated or edited file is one clear error and never a wrong score.
@@ -22,6 +25,7 @@ import numpy as np
 from mixo_env.errors import RecordingError, printable, unknown
 from mixo_env.files import atomic_path, write_bytes
 from mixo_env.recordings.collection import Column, Recordings
+from mixo_env.recordings.derived import canonical, completed, derivable, scene_rows, stored
 from mixo_env.recordings.folder import claimed, writing
 from mixo_env.recordings.manifest import LARGEST_MANIFEST, MANIFEST_FILE, decode_manifest, encode_manifest
 from mixo_env.recordings.pose_lag import as_written
@@ -35,14 +39,17 @@ RECORDINGS_FILE = "recordings.parquet"
 NEXT_FILE = "recordings.next.parquet"
 TIMINGS_FILE = "timings.parquet"
 
+GROUPS = 40
+"""At most about so many row groups: damage costs a fortieth of a recording at most, or one scene of a small one."""
+
 
 def values_hash(columns: Mapping[str, Column]) -> str:
     """Hash of names, types and values (every NaN counts as the same), whatever the order of the columns."""
     digest = hashlib.blake2b(digest_size=16)
     for name in sorted(columns):
-        values = _canonical(columns[name])
+        values = np.ascontiguousarray(canonical(columns[name]))
         digest.update(f"{name}:{values.dtype.name}:{len(values)};".encode())
-        digest.update(values.tobytes())
+        digest.update(values.data)
     return digest.hexdigest()
 
 
@@ -53,7 +60,7 @@ def write_columns(
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    table = pa.table({name: pa.array(_canonical(values)) for name, values in columns.items()})
+    table = pa.table({name: pa.array(canonical(values)) for name, values in columns.items()})
     table = table.replace_schema_metadata(dict(metadata or {}))
     # Byte planes of floats compress well; dictionaries of floats do not, and they merge values that compare equal.
     floats = {name: "BYTE_STREAM_SPLIT" for name, values in columns.items() if values.dtype.kind == "f"}
@@ -152,14 +159,24 @@ def _encoded(recordings: Recordings) -> tuple[dict[str, Column], Manifest, bytes
     )
     manifest = replace(recordings.manifest, scenes=entries)
     columns = {name: recordings[name] for name in schema_columns(*_experts(manifest))}
-    return columns, manifest, encode_manifest(manifest)
+    return stored(columns, manifest), manifest, encode_manifest(manifest)
 
 
 def _write(columns: Mapping[str, Column], manifest: Manifest, described: bytes, folder: Path) -> None:
-    write_columns(folder / NEXT_FILE, columns, [scene.rows for scene in manifest.scenes])
+    write_columns(folder / NEXT_FILE, columns, _groups([scene.rows for scene in manifest.scenes]))
     write_bytes(folder / MANIFEST_FILE, described)
     with writing(folder):
         (folder / NEXT_FILE).replace(folder / RECORDINGS_FILE)
+
+
+def _groups(rows: Sequence[int]) -> list[int]:
+    """Rows of each row group, from those of each scene."""
+    groups: list[int] = []
+    for count in rows:
+        if not groups or groups[-1] * GROUPS >= sum(rows):
+            groups.append(0)
+        groups[-1] += count
+    return groups
 
 
 def bundled_recordings() -> tuple[str, ...]:
@@ -227,21 +244,26 @@ def _decoded(described: bytes, label: str, cure: str) -> Manifest:
 def _verified(manifest: Manifest, path: Traversable, label: str, cure: str) -> Recordings:
     """The rows of a file, if they are those of the manifest."""
     try:
-        columns, rows, _ = read_columns(path.read_bytes())
+        columns, _, _ = read_columns(path.read_bytes())
     except OSError:
         raise RecordingError(f"{label}: expected {RECORDINGS_FILE} beside {MANIFEST_FILE}; {cure}") from None
     except RecordingError as error:
         raise RecordingError(f"{label}: {RECORDINGS_FILE} is {error}; {cure}") from None
-    _check_columns({name: values.dtype.name for name, values in columns.items()}, manifest, label, cure)
-    expected = [scene.rows for scene in manifest.scenes]
+    dtypes = {name: values.dtype.name for name, values in columns.items()}
+    layout = schema_columns(*_experts(manifest))
+    left_out = {name: layout[name] for name in derivable(manifest) if name not in dtypes}
+    _check_columns(dtypes | left_out, manifest, label, cure)
+    rows, expected = scene_rows(columns), [scene.rows for scene in manifest.scenes]
     if rows != expected:
         raise RecordingError(
             f"{label}: expected {len(expected)} scenes of {sum(expected)} rows in {RECORDINGS_FILE}, "
             f"got {len(rows)} of {sum(rows)} (or another order); {cure}"
         )
-    recordings = Recordings(manifest, columns)
+    columns = completed(columns, manifest)
+    recordings = Recordings(manifest, {name: columns[name] for name in layout})
+    hashed = Recordings(manifest, {name: canonical(values) for name, values in columns.items()})
     for i, scene in enumerate(manifest.scenes):
-        if values_hash(recordings.rows(i)) != scene.values_hash:
+        if values_hash(hashed.rows(i)) != scene.values_hash:
             raise RecordingError(f"{label}: the values of {scene.name} differ from the manifest's hash; {cure}")
     return recordings
 
@@ -259,8 +281,3 @@ def _check_columns(dtypes: Mapping[str, str], manifest: Manifest, label: str, cu
 
 def _experts(manifest: Manifest) -> tuple[tuple[str, ...], ...]:
     return manifest.cameras, manifest.inertial, manifest.imported, tuple(manifest.variants)
-
-
-def _canonical(values: Column) -> Column:
-    """One bit pattern for NaN: its sign bit depends on the machine."""
-    return np.where(np.isnan(values), values.dtype.type(np.nan), values) if values.dtype.kind == "f" else values
