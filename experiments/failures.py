@@ -20,6 +20,7 @@ from typing import Any, Literal, get_args
 
 from experiments.failures_table import write_tables
 from mixo_env.errors import ConfigurationError, DatasetError, MixoError, unknown
+from mixo_env.experts.joint.config import JointConfig
 from mixo_env.experts.monocular.config import MonocularConfig
 from mixo_env.files import writable_folder
 from mixo_env.leaderboard.conditions import SITUATIONS
@@ -167,6 +168,7 @@ class Failures:
         home, images = self.folder(kind) / "recordings", self.folder(kind) / "images"
         config = RecordConfig(
             monocular=MonocularConfig.preset("fast"),
+            joint=JointConfig(),
             data_version=f"mixocity-failures-{kind}-{self.seed(kind)}",
             camera_faults=told_faults(images),
         )
