@@ -25,6 +25,8 @@ SAFE = 5.0
 ITERATIONS = 20
 SETTLED = 1e-4
 """The climb ends with a move of less than so many of the smallest standard deviation."""
+LARGEST_PRODUCT = 1e100
+"""Of likelihoods, before its logarithm is taken."""
 
 
 @compiled
@@ -32,7 +34,7 @@ def likeliest(values: FloatArray, std: FloatArray, counts: NDArray[np.bool_], nu
     """Most likely common value of ``values`` with errors ``std`` x Student's t of ``nu`` degrees of freedom.
 
     The likelihood has several maxima where experts disagree. The search starts at the vote of highest likelihood and
-    climbs by reweighted least squares, which never descends: weights (nu + 1) / (nu + (r / sigma)^2) / sigma^2.
+    climbs by reweighted least squares, which never descends: weights (nu + 1) / (nu sigma^2 + r^2).
 
     Args:
         values: ``(n,)``.
@@ -46,33 +48,40 @@ def likeliest(values: FloatArray, std: FloatArray, counts: NDArray[np.bool_], nu
     """
     n = len(values)
     centre, least, sharpest = math.nan, math.inf, math.inf
+    for j in range(n):
+        weights[j] = 0.0
+        if counts[j] and std[j] < math.inf:
+            weights[j] = 1.0 / (nu * std[j] * std[j])
+            sharpest = min(sharpest, std[j])
     for i in range(n):
-        weights[i] = 0.0
-        if counts[i] and std[i] < math.inf:
-            cost = 0.0
-            sharpest = min(sharpest, std[i])
+        if weights[i] > 0.0:
+            cost, product = 0.0, 1.0  # a logarithm costs more than all else in the loop
             for j in range(n):
-                if counts[j] and std[j] < math.inf:
-                    r = (values[j] - values[i]) / std[j]
-                    cost += math.log1p(r * r / nu)
+                if weights[j] > 0.0:
+                    apart = values[j] - values[i]
+                    product *= 1.0 + apart * apart * weights[j]
+                    if product > LARGEST_PRODUCT:
+                        cost, product = cost + math.log(product), 1.0
+            cost += math.log(product)
             if cost < least:
                 centre, least = values[i], cost
     if least == math.inf:
         return math.nan
+    total = 0.0
     for _ in range(ITERATIONS):
         total, moved = 0.0, 0.0
         for j in range(n):
-            if counts[j] and std[j] < math.inf:
-                r = (values[j] - centre) / std[j]
-                weights[j] = (nu + 1.0) / (nu + r * r) / (std[j] * std[j])
+            if weights[j] > 0.0:
+                apart = values[j] - centre
+                weights[j] = 1.0 / (nu * std[j] * std[j] + apart * apart)
                 total += weights[j]
-                moved += weights[j] * (values[j] - centre)
+                moved += weights[j] * apart
         move = moved / total
         centre += move
-        for j in range(n):
-            weights[j] /= total
         if abs(move) <= SETTLED * sharpest:
             break
+    for j in range(n):
+        weights[j] /= total
     return centre
 
 
