@@ -66,6 +66,13 @@ def test_consensus_of_two_camps_is_the_likelier_one_not_their_middle() -> None:
     assert float((consensus_weights(values, sure, np.ones((1, 5), bool), 5.0) * values).sum()) < 0.5
 
 
+def test_products_of_many_likelihoods_do_not_overflow() -> None:
+    """30 sure votes against 31 less sure ones, too far away for the product of their likelihoods to be a number."""
+    values, std = np.repeat([0.0, 1e8], [30, 31])[None], np.repeat([0.01, 1.0], [30, 31])[None]
+    weights = consensus_weights(values, std, np.ones((1, 61), bool), 5.0)
+    assert float((weights * values).sum()) == pytest.approx(0.0, abs=1e-3)
+
+
 def test_influence_redescends_where_that_of_huber_does_not() -> None:
     student, scale = ready(StudentT, [1e-3] * 4, nu=5.0), {"scale_rad": np.full(4, 1e-3)}
     huber = Huber()

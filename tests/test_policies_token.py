@@ -208,6 +208,18 @@ def test_a_saved_gate_gives_the_same_weights(drives: Recordings, fitted: Token, 
     np.testing.assert_array_equal(loaded.act(look), fitted.act(look))
 
 
+def test_a_scene_has_the_same_bits_alone_and_among_many(drives: Recordings, fitted: Token) -> None:
+    """Vectors of numbers end somewhere: where a scene stands in them must not matter."""
+    look = {name: values[:37] for name, values in collect(drives, TRACK, fitted).items()}
+    fitted.reset(37)
+    together = [fitted.act(look) for _ in range(2)]
+    for k in range(37):
+        fitted.reset(1)
+        for weights in together:
+            alone = fitted.act({name: values[k : k + 1] for name, values in look.items()})
+            np.testing.assert_array_equal(alone[0], weights[k])
+
+
 def test_it_plays_with_strangers(drives: Recordings, fitted: Token, tmp_path) -> None:
     """Other names, another number: what it learned names nobody; where it was fitted it is still refused."""
     fitted.save(tmp_path)

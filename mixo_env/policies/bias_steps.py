@@ -39,7 +39,7 @@ def predict(bias: FloatArray, covariance: FloatArray, drift: FloatArray, dt: flo
         for j in range(n):
             covariance[i, j] *= fade
             covariance[j, i] *= fade
-        covariance[i, i] += drift[1, i] ** 2 * (1.0 - fade * fade)
+        covariance[i, i] += drift[1, i] * drift[1, i] * (1.0 - fade * fade)
 
 
 @compiled
@@ -54,36 +54,40 @@ def update(
     Args:
         bias: ``(n,)`` as predicted [rad/s].
         covariance: ``(n, n)`` of it.
-        apart: ``(m,)`` increments of ``who`` less their predicted biases [rad].
-        noise: ``(m,)`` variances of their white errors [rad^2].
-        who: ``(m,)`` indices.
+        apart: ``(n,)`` increments less the predicted biases [rad].
+        noise: ``(n,)`` variances of the white errors [rad^2].
+        who: ``(m,)`` indices of those that are heard.
         dt: duration of the step [s].
     """
     n, m = len(bias), len(who)
-    inverse = np.empty((m, m))
+    inverse, row = np.empty((m, m)), np.zeros(m)
     for i in range(m):
         for j in range(m):
             inverse[i, j] = dt * dt * covariance[who[i], who[j]]
-        inverse[i, i] += noise[i]
+        inverse[i, i] += noise[who[i]]
     invert(inverse)
-    row = inverse.sum(axis=1)
-    total = row.sum()
-    psi = (row * apart).sum() / total
+    total, psi = 0.0, 0.0
+    for i in range(m):
+        for j in range(m):
+            row[i] += inverse[i, j]
+        total += row[i]
+        psi += row[i] * apart[who[i]]
+    psi /= total
     for i in range(m):
         for j in range(m):
             inverse[i, j] -= row[i] * row[j] / total
-    cross = np.empty((n, m))
+    cross, gain = np.empty((n, m)), np.empty((n, m))
     for i in range(n):
         for j in range(m):
             cross[i, j] = dt * covariance[i, who[j]]
-    gain = np.zeros((n, m))
-    for i in range(n):
         for j in range(m):
+            change = 0.0
             for k in range(m):
-                gain[i, j] += cross[i, k] * inverse[k, j]
+                change += cross[i, k] * inverse[k, j]
+            gain[i, j] = change
     for i in range(n):
         for j in range(m):
-            bias[i] += gain[i, j] * apart[j]  # the rows of `inverse` sum to zero: psi drops out
+            bias[i] += gain[i, j] * apart[who[j]]  # the rows of `inverse` sum to zero: psi drops out
         for k in range(i + 1):
             change = 0.0
             for j in range(m):
@@ -114,7 +118,8 @@ def step_row(
     values, std, counts = told
     n = len(values)
     predict(bias, covariance, drift, dt)
-    apart, spread, white, weights = np.empty(n), np.empty(n), np.empty(n), np.empty(n)
+    room = np.empty((4, n))  # one allocation in place of four
+    apart, spread, white, weights = room[0], room[1], room[2], room[3]
     for i in range(n):
         noise[i] = math.inf
         apart[i] = values[i] - dt * (drift[0, i] + bias[i])
@@ -124,15 +129,19 @@ def step_row(
     if math.isnan(centre):
         return centre
     for i in range(n):  # once the turn is known, so is what it adds
-        white[i] += (drift[4, i] * centre) ** 2
+        white[i] += drift[4, i] * drift[4, i] * centre * centre
         spread[i] = math.sqrt(white[i] + dt * dt * covariance[i, i])
     centre = likeliest(apart, spread, counts, SAFE, weights)
-    who = np.flatnonzero(weights > 0.0)
-    for i in who:
+    who, heard = np.empty(n, np.int64), 0
+    for i in range(n):
+        if weights[i] == 0.0:
+            continue
+        who[heard] = i
+        heard += 1
         r = (apart[i] - centre) / spread[i]
         trust = min(1.0, (SAFE + 1.0) / (SAFE + r * r))
-        noise[i] = spread[i] ** 2 / trust - dt * dt * covariance[i, i]
-    return update(bias, covariance, apart[who], noise[who], who, dt)
+        noise[i] = spread[i] * spread[i] / trust - dt * dt * covariance[i, i]
+    return update(bias, covariance, apart, noise, who[:heard], dt)
 
 
 @compiled

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from mixo_env.compiled import compiled_unchecked, inlined
+from mixo_env.compiled import compiled, inlined
 from mixo_env.policies.lessons import Lessons
 
 if TYPE_CHECKING:
@@ -72,7 +72,7 @@ def _rectify(x: Single) -> None:
         x[j] = max(x[j], np.float32(0.0))
 
 
-@compiled_unchecked
+@compiled
 def _weigh(
     told: tuple[Single, Single, FloatArray], voting: NDArray[np.bool_], layers: Layers, weights: FloatArray
 ) -> None:

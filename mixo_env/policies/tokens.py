@@ -97,14 +97,14 @@ class Tokens(NamedTuple):
 def read(observation: Observation, calibration: Calibration) -> Seen:
     """Pick what becomes tokens."""
     dt = observation["dt"].astype(np.float64)
-    counts = [observation[name] for name in ("matches", "inliers", "residual_px", "flow_px")]
+    units = dt / UNIT_RAD
     return Seen(
-        observation["yaw_rates"] * dt / UNIT_RAD,
-        observation["yaw_rate_std"] * dt / UNIT_RAD,
+        observation["yaw_rates"] * units,
+        observation["yaw_rate_std"] * units,
         calibration.std(observation) / UNIT_RAD,
         believable(observation),
-        np.stack(counts),
-        np.concatenate([observation["speed"].astype(np.float64), dt], axis=1),
+        np.array([observation[name] for name in ("matches", "inliers", "residual_px", "flow_px")]),
+        np.concatenate([observation["speed"], dt], axis=1),
     )
 
 
