@@ -104,7 +104,7 @@ def read(observation: Observation, calibration: Calibration) -> Seen:
         calibration.std(observation) / UNIT_RAD,
         believable(observation),
         np.array([observation[name] for name in ("matches", "inliers", "residual_px", "flow_px")]),
-        np.concatenate([observation["speed"], dt], axis=1),
+        np.concatenate([observation["speed"], dt], axis=1, dtype=np.float64),
     )
 
 
