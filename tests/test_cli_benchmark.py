@@ -11,6 +11,7 @@ import msgspec
 import pytest
 
 from mixo_env.cli.benchmark import Benchmark
+from mixo_env.cli.main import main
 from mixo_env.recordings.store import save_recordings
 from tests.synthetic import synthetic_recordings
 
@@ -57,19 +58,39 @@ def test_same_seed_same_files(folder: Path, tmp_path: Path) -> None:
     assert not (tmp_path / "latest").exists()
 
 
-@pytest.mark.parametrize(
-    ("arguments", "code", "message"),
-    [
-        (("--policies", "LINAER"), 2, "mixo: unknown policy 'LINAER': did you mean 'LINEAR'? Valid: "),
-        (("--tracks", "VISON"), 2, "mixo: unknown track 'VISON': did you mean 'VISION'? Valid: "),
-        (("--recordings", "absent/folder"), 1, "mixo: absent/folder: expected a folder with manifest.json, found none"),
-    ],
-)
+BAD = [
+    (("--policies", "LINAER"), 2, "mixo: unknown policy 'LINAER': did you mean 'LINEAR'? Valid: "),
+    (("--tracks", "VISON"), 2, "mixo: unknown track 'VISON': did you mean 'VISION'? Valid: "),
+    (("--recordings", "absent/folder"), 1, "mixo: absent/folder: expected a folder with manifest.json, found none"),
+]
+
+
+def given(folder: Path, arguments: tuple[str, ...]) -> tuple[str, ...]:
+    return arguments if "--recordings" in arguments else ("--recordings", str(folder), *arguments)
+
+
+@pytest.mark.parametrize(("arguments", "code", "message"), BAD)
 def test_bad_input_is_one_clear_line(
-    folder: Path, tmp_path: Path, arguments: tuple[str, ...], code: int, message: str
+    folder: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+    arguments: tuple[str, ...],
+    code: int,
+    message: str,
 ) -> None:
-    given = arguments if "--recordings" in arguments else ("--recordings", str(folder), *arguments)
-    done = mixo(*given, cwd=tmp_path)
+    monkeypatch.chdir(tmp_path)
+    assert main(["benchmark", *given(folder, arguments)]) == code
+    printed = capfd.readouterr()
+    assert printed.err.startswith(message)
+    assert printed.err.count("\n") == 1
+    assert printed.out == ""
+    assert not any(tmp_path.iterdir())
+
+
+def test_bad_input_ends_the_process_with_its_code_and_line(folder: Path, tmp_path: Path) -> None:
+    arguments, code, message = BAD[-1]
+    done = mixo(*given(folder, arguments), cwd=tmp_path)
     assert done.returncode == code
     assert done.stderr.startswith(message)
     assert done.stderr.count("\n") == 1

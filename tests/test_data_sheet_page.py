@@ -21,10 +21,10 @@ from docs._pages.data_sheet.samples import draw_motion
 from experiments import stored_figures as stored
 from mixo_env.errors import ConfigurationError, DatasetError
 from mixo_env.recordings.collection import Recordings
-from mixo_env.recordings.store import load_recordings
 from mixo_env.simulator.config import SimulationConfig, SituationShares
 from mixo_env.simulator.dataset import simulate
 from mixo_env.simulator.drive import scenes as simulator_scenes
+from tests.bundle import bundled
 from tests.synthetic import synthetic_recordings
 
 DOCS = Path(__file__).parent.parent / "docs"
@@ -150,7 +150,7 @@ def test_a_folder_of_something_else_is_refused(tmp_path: Path):
 def test_the_page_in_docs_is_that_of_the_bundled_recordings():
     """After new recordings or another wording: python -m docs._pages.data_sheet [--images FOLDER]."""
     study = stored.load(DOCS / STUDY) if (DOCS / STUDY).exists() else None
-    text = page(load_recordings(), stored.load(DOCS / MEASURED), load_real(), study)
+    text = page(bundled(), stored.load(DOCS / MEASURED), load_real(), study)
     assert (DOCS / PAGE).read_text(encoding="utf-8") == text
     pictures = {path.name: path.stat().st_size for path in (DOCS / FIGURES).iterdir()}
     assert all(f"{FIGURES}/{name}" in text for name in pictures)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import re
@@ -15,6 +16,7 @@ import pytest
 from mixo_env.cli.main import main
 from mixo_env.experts.expert import State
 from mixo_env.nuscenes.checks.judge import JudgedDataset
+from mixo_env.nuscenes.images import jpeg_size
 from mixo_env.nuscenes.tables import open_dataset
 from mixo_env.recordings.record import RecordConfig, record
 from mixo_env.recordings.store import load_recordings
@@ -109,6 +111,13 @@ def test_one_broken_image_costs_its_step_only(name, folder, tmp_path, capsys, ca
     assert np.count_nonzero(recorded["CAM_FRONT.state"] == State.NO_IMAGE) == 1
     assert recorded.manifest.parameters["broken_images"] == {SCENE: {"CAM_FRONT": 1}}
     assert f"{SCENE}: {notes[0]}" in caplog.messages
+
+
+@pytest.mark.parametrize("fill", [0, 1, 2, *range(1010, 1030), 5000])
+def test_fill_bytes_before_the_size_are_passed_over(fill):
+    """As many as fill what is read at once, and more."""
+    jpeg = grey_jpeg(48, 32)
+    assert jpeg_size(io.BytesIO(jpeg[:2] + fill * b"\xff" + jpeg[2:])) == (48, 32)
 
 
 @pytest.mark.parametrize("name", ["missing", "cut", "bomb", "folder"])

@@ -13,19 +13,24 @@ from mixo_env.leaderboard.rows import Scorer
 from mixo_env.policies.fitting import prepare
 from mixo_env.policies.linear import Linear
 from mixo_env.policies.oracle import OracleAll
-from mixo_env.recordings.store import load_recordings
+from mixo_env.recordings.collection import Recordings
+from tests.bundle import bundled
 
-RECORDINGS = load_recordings("mixocity-paper")
 FOLD = 2
 
 
-def test_a_held_out_row_is_the_leaderboards() -> None:
-    training, test = hold_out(RECORDINGS, FOLD)
+@pytest.fixture(scope="module")
+def recordings() -> Recordings:
+    return bundled("mixocity-paper")
+
+
+def test_a_held_out_row_is_the_leaderboards(recordings: Recordings) -> None:
+    training, test = hold_out(recordings, FOLD)
     linear = Linear()
     prepare(linear, training, "VISION")
     travel = rollout(linear, test, "VISION")
 
-    division = CrossValidation(RECORDINGS)
+    division = CrossValidation(recordings)
     run = division.run("LINEAR", "VISION", folds=[FOLD])
     here = np.repeat(run.tested, np.diff(division.recordings.offsets))
     np.testing.assert_array_equal(travel.yaw_increment_rad, run.travel.yaw_increment_rad[here])
@@ -36,25 +41,25 @@ def test_a_held_out_row_is_the_leaderboards() -> None:
     assert f"LINEAR  {value.mean:.4f} [{value.low:.4f}, {value.high:.4f}]" in text
 
 
-def test_an_oracle_chooses_by_the_truth_that_scores_it() -> None:
-    _, test = hold_out(RECORDINGS, FOLD)
+def test_an_oracle_chooses_by_the_truth_that_scores_it(recordings: Recordings) -> None:
+    _, test = hold_out(recordings, FOLD)
     oracle = OracleAll()
     oracle.start(test.voters("VISION"))
-    run = CrossValidation(RECORDINGS).run("ORACLE ALL", "VISION")
+    run = CrossValidation(recordings).run("ORACLE ALL", "VISION")
     scenes = {scene.name for scene in test.scenes}
-    tested = np.array([scene.name in scenes for scene in RECORDINGS.scenes])
-    here = np.repeat(tested, np.diff(RECORDINGS.offsets))
+    tested = np.array([scene.name in scenes for scene in recordings.scenes])
+    here = np.repeat(tested, np.diff(recordings.offsets))
     travel = rollout(oracle, test, "VISION", privileged=True)
     np.testing.assert_array_equal(travel.yaw_increment_rad, run.travels["exact"][0].yaw_increment_rad[here])
     assert "ORACLE ALL †" in table_of(test, "VISION", {oracle: travel})
 
 
-def test_training_and_test_share_no_drive() -> None:
-    training, test = hold_out(RECORDINGS, FOLD)
+def test_training_and_test_share_no_drive(recordings: Recordings) -> None:
+    training, test = hold_out(recordings, FOLD)
     assert {scene.fold for scene in test.scenes} == {FOLD}
     assert not {scene.log for scene in training.scenes} & {scene.log for scene in test.scenes}
 
 
-def test_a_fold_without_scenes_is_refused() -> None:
+def test_a_fold_without_scenes_is_refused(recordings: Recordings) -> None:
     with pytest.raises(ConfigurationError, match="no scene left"):
-        hold_out(RECORDINGS, 9)
+        hold_out(recordings, 9)

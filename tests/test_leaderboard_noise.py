@@ -13,8 +13,8 @@ from mixo_env.leaderboard.evaluation import Truth, noisy_truth, with_wheels
 from mixo_env.leaderboard.noise import TIMES_S, YawNoise, hat, white_noise_rad, yaw_noise
 from mixo_env.leaderboard.report import to_markdown
 from mixo_env.recordings.collection import Recordings
-from mixo_env.recordings.store import load_recordings
 from mixo_env.recordings.truths import with_truth
+from tests.bundle import few_drives
 from tests.synthetic import synthetic_recordings
 
 STD_RAD, TIME_S = 2e-3, 1.0
@@ -125,7 +125,7 @@ def test_without_cameras_a_gyro_tells_white_noise_only_and_the_table_says_so(qui
 @pytest.mark.parametrize("clock", ["poses", "keyframes"])
 def test_the_floor_of_the_bundled_city_is_what_exact_yaw_scores(clock: GroundTruth) -> None:
     """The oracle: against the very poses whose noise is told without it."""
-    recordings = CrossValidation(load_recordings(), Trial(ground_truth=clock)).recordings
+    recordings = CrossValidation(few_drives(12), Trial(ground_truth=clock)).recordings
     truth = Truth(recordings, "truth")
     exact = with_wheels(recordings, with_truth(recordings, "exact")["truth.yaw_increment_rad"])
     told, true = (truth.measure(m).relative.rotation_deg_per_m.mean() for m in (noisy_truth(recordings), exact))

@@ -16,8 +16,11 @@ from mixo_env.leaderboard.board import requested, shown_in
 from mixo_env.leaderboard.crossvalidation import CrossValidation, Trial
 from mixo_env.leaderboard.evaluation import rollout
 from mixo_env.policies.fitting import prepare
+from mixo_env.policies.gate import Mixo
 from mixo_env.policies.linear import Linear
 from mixo_env.policies.registry import create, load
+from mixo_env.policies.tandem import Tandem
+from mixo_env.policies.token_gate import Token
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.store import save_recordings
 from tests.synthetic import synthetic_recordings
@@ -26,6 +29,13 @@ from tests.synthetic import synthetic_recordings
 @pytest.fixture(scope="module")
 def recordings() -> Recordings:
     return synthetic_recordings(0, scenes=4, steps=80)
+
+
+@pytest.fixture(autouse=True)
+def brief(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Few updates: nothing here depends on how well anything is learnt."""
+    for policy, few in ((Mixo, {"min_updates": 20}), (Token, {"updates": 10}), (Tandem, {"updates": 10})):
+        monkeypatch.setattr(policy.__init__, "__kwdefaults__", policy.__init__.__kwdefaults__ | few)
 
 
 @pytest.mark.parametrize("name", ["LINEAR", "MIXO", "TOKEN"])
@@ -94,8 +104,11 @@ def test_weights_that_are_no_folder_are_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("arguments", [[], ["TOKEN", "--all"], ["MEAN"], ["NOBODY"]])
-def test_nothing_to_fit_is_one_line(arguments: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["train", *arguments, "--out", str(tmp_path / "w")]) == 2
+def test_nothing_to_fit_is_one_line(
+    recordings: Recordings, arguments: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    save_recordings(recordings, tmp_path / "small")
+    assert main(["train", *arguments, "--recordings", str(tmp_path / "small"), "--out", str(tmp_path / "w")]) == 2
     assert len(capsys.readouterr().err.strip().splitlines()) == 1
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 from collections import Counter
 from collections.abc import Iterator
 from pathlib import Path
@@ -24,16 +25,21 @@ ROOM_SHARE = 0.25
 Function = ast.FunctionDef | ast.AsyncFunctionDef
 
 FILES = {path: path.read_text(encoding="utf-8") for folder in FOLDERS for path in sorted((ROOT / folder).rglob("*.py"))}
-TREES = {path.relative_to(ROOT).as_posix(): ast.parse(text) for path, text in FILES.items()}
+
+
+@functools.cache
+def all_functions() -> tuple[tuple[str, Function], ...]:
+    """Parsed when first asked for: every worker of a run collects this file, one of them needs the trees."""
+    found = []
+    for path, text in FILES.items():
+        name = path.relative_to(ROOT).as_posix()
+        found += [(f"{name}: {node.name}", node) for node in ast.walk(ast.parse(text)) if isinstance(node, Function)]
+    return tuple(found)
 
 
 def functions(folder: str = "") -> Iterator[tuple[str, Function]]:
     """Path and name of every function, with its tree."""
-    for path, tree in TREES.items():
-        if path.startswith(folder):
-            for node in ast.walk(tree):
-                if isinstance(node, Function):
-                    yield f"{path}: {node.name}", node
+    return (found for found in all_functions() if found[0].startswith(folder))
 
 
 def lines_of(function: Function, *, docstring: bool = True) -> int:

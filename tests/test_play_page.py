@@ -19,9 +19,9 @@ from mixo_env.errors import RecordingError
 from mixo_env.experts.expert import State
 from mixo_env.metrics.relative import relative_samples_se2
 from mixo_env.recordings.collection import Recordings
-from mixo_env.recordings.store import load_recordings
 from mixo_env.trajectory.planar import PlanarPoses
 from tests.browser import PHONE, open_file
+from tests.bundle import bundled
 from tests.synthetic import synthetic_recordings
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ def drive() -> dict[str, Any]:
 
 @pytest.fixture(scope="module")
 def recordings() -> Recordings:
-    return load_recordings()
+    return bundled()
 
 
 @pytest.fixture(scope="module")

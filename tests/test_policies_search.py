@@ -19,7 +19,8 @@ from mixo_env.policies import search_pieces
 from mixo_env.policies.gates import Setting
 from mixo_env.policies.search import EXHAUSTIVE, PAPER, Final, Grid, Piece, finals, judge, lessons
 from mixo_env.policies.search_pieces import Pieces
-from mixo_env.recordings.store import load_recordings
+from mixo_env.recordings.store import save_recordings
+from tests.bundle import few_drives
 
 FOLDS = (0, 1, 2, 3)
 SMALL = Grid(n1=(4, 8), n2=(4,), d1=(0.0,), d2=(0.0, 0.1), eta0=(0.01, 0.02), alpha=(0.1,))
@@ -90,7 +91,7 @@ def test_alike_are_those_within_a_standard_error_and_the_smallest_is_named() -> 
 
 
 def test_lessons_standardise_by_the_training_folds_alone() -> None:
-    recordings = load_recordings(None)
+    recordings = few_drives()
     training, others, linear = lessons(recordings, "VISION", (1, 3))
     np.testing.assert_allclose(training.x.mean(axis=1), 0.0, atol=1e-3)
     np.testing.assert_allclose(training.x.std(axis=1), 1.0, atol=1e-3)
@@ -103,12 +104,20 @@ def test_lessons_standardise_by_the_training_folds_alone() -> None:
 
 
 @pytest.fixture(scope="module")
-def searched(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def words(tmp_path_factory: pytest.TempPathFactory) -> tuple[str, ...]:
+    """Of a search on a few drives."""
+    folder = tmp_path_factory.mktemp("drives") / "few"
+    save_recordings(few_drives(), folder)
+    return (*WORDS, "--recordings", str(folder))
+
+
+@pytest.fixture(scope="module")
+def searched(words: tuple[str, ...], tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A small search, of short schedules."""
     folder = tmp_path_factory.mktemp("search")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(search_pieces, "updates_of", lambda training: 20)
-        assert main(["search", *WORDS, "--workers", "1", "--finalists", "4", "--seeds", "2", "--out", str(folder)]) == 0
+        assert main(["search", *words, "--workers", "1", "--finalists", "4", "--seeds", "2", "--out", str(folder)]) == 0
     return folder
 
 
@@ -121,7 +130,7 @@ def test_a_search_leaves_table_numbers_and_picture(searched: Path) -> None:
 
 
 def test_the_same_command_does_nothing_twice_and_prints_the_same(
-    searched: Path, monkeypatch: pytest.MonkeyPatch
+    words: tuple[str, ...], searched: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(search_pieces, "updates_of", lambda training: 20)
     before = (searched / "landscape.json").read_text()
@@ -130,24 +139,24 @@ def test_the_same_command_does_nothing_twice_and_prints_the_same(
     expected = broken.read_text()
     broken.write_text(expected[:20])
     lost.unlink()
-    assert main(["search", *WORDS, "--workers", "1", "--finalists", "4", "--seeds", "2", "--out", str(searched)]) == 0
+    assert main(["search", *words, "--workers", "1", "--finalists", "4", "--seeds", "2", "--out", str(searched)]) == 0
     assert (searched / "landscape.json").read_text() == before
     assert broken.read_text() == expected  # done again, to the digit
     assert all(path.stat().st_mtime_ns == at for path, at in pieces.items() if path not in (broken, lost))
 
 
 def test_a_folder_of_another_search_is_one_line(
-    searched: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    words: tuple[str, ...], searched: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(search_pieces, "updates_of", lambda training: 20)
-    assert main(["search", *WORDS, "--track", "CONSUMER", "--out", str(searched)]) == 2
+    assert main(["search", *words, "--track", "CONSUMER", "--out", str(searched)]) == 2
     assert "holds a search of another track" in capsys.readouterr().err
-    assert main(["search", "--grid.n1", "4", "--out", str(searched)]) == 2
+    assert main(["search", *words[-2:], "--grid.n1", "4", "--out", str(searched)]) == 2
     assert "holds a search of another grid" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
-    ("words", "complaint"),
+    ("wrong", "complaint"),
     [
         (["--grid.d1", "0.95"], "d1 must lie between 0 and 0.9"),
         (["--grid.eta0", "0"], "eta0 must be above 0"),
@@ -158,15 +167,15 @@ def test_a_folder_of_another_search_is_one_line(
     ids=lambda value: value if isinstance(value, str) else " ".join(value),
 )
 def test_bad_options_are_one_line(
-    words: list[str], complaint: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    words: tuple[str, ...], wrong: list[str], complaint: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["search", "--grid.n1", "4", "--grid.n2", "4", *words, "--out", str(tmp_path)]) == 2
+    assert main(["search", *words[-2:], "--grid.n1", "4", "--grid.n2", "4", *wrong, "--out", str(tmp_path)]) == 2
     assert complaint in capsys.readouterr().err
 
 
 def test_too_few_folds_are_one_line(tmp_path: Path) -> None:
     with pytest.raises(ConfigurationError, match="three folds or more, got 2"):
-        Pieces(load_recordings(None).select(folds=[0, 1]), "VISION", tmp_path, workers=1)
+        Pieces(few_drives().select(folds=[0, 1]), "VISION", tmp_path, workers=1)
 
 
 @pytest.mark.integration

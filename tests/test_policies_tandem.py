@@ -14,13 +14,12 @@ from mixo_env.policies.tandem import Tandem, fused_increments
 from mixo_env.policies.token_gate import Token
 from mixo_env.policies.tokens import UNIT_RAD
 from mixo_env.recordings.collection import Recordings
-from mixo_env.recordings.store import load_recordings
+from tests.bundle import few_drives
 
 
 @pytest.fixture(scope="module")
 def drives() -> Recordings:
-    recordings = load_recordings(None)
-    return recordings.select(scenes=[scene.name for scene in recordings.scenes if scene.fold == 0][:6])
+    return few_drives(6).select(folds=[0])
 
 
 def fitted(policy, drives: Recordings, **kwargs):

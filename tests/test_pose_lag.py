@@ -20,6 +20,7 @@ from mixo_env.recordings.pose_lag import as_written, lag_corrected
 from mixo_env.recordings.schema import VehicleConstants
 from mixo_env.recordings.store import load_recordings, save_recordings
 from mixo_env.recordings.truths import for_learning
+from tests.bundle import few_drives
 from tests.late_poses import CAMERAS, late_recordings
 
 LAG_S = 0.03
@@ -175,7 +176,7 @@ def test_written_poses_stay_a_course_of_their_own():
 
 
 def test_bundled_exact_yaw_is_nearly_perfect():
-    protocol = CrossValidation(load_recordings())
+    protocol = CrossValidation(few_drives(12))
     exact = np.diff(protocol.recordings["exact.yaw_rad"], prepend=np.nan)
     exact[protocol.recordings.offsets[:-1]] = np.nan
     errors = Truth(protocol.recordings).measure(with_wheels(protocol.recordings, exact))

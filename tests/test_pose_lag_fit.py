@@ -15,11 +15,11 @@ from mixo_env.leaderboard.crossvalidation import CrossValidation
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.keyframes import at_keyframes
 from mixo_env.recordings.pose_lag_fit import LARGEST_STD_S, PoseLag, fit_pose_lag, fit_pose_lags, step_turns
-from mixo_env.recordings.store import load_recordings
 from mixo_env.recordings.vehicles import fit_vehicle_constants, training_constants, with_held_out_constants
 from mixo_env.simulator.config import SimulationConfig
 from mixo_env.simulator.drive.localisation import LAG_RANGE_S
 from mixo_env.simulator.drive.scenario import plan_logs
+from tests.bundle import few_drives
 from tests.late_poses import CAMERAS, late_recordings
 
 OWN = tuple(f"{camera}.own_window_yaw_increment_rad" for camera in CAMERAS)
@@ -190,7 +190,7 @@ def test_a_vehicle_with_one_log_keeps_lag_zero_and_it_is_said(caplog):
 
 
 def test_bundled_cameras_find_the_lag_of_the_exact_truth():
-    for found in lags_by_source(load_recordings()).values():
+    for found in lags_by_source(few_drives(12)).values():
         assert abs(found["cameras"].lag_s - found["exact"].lag_s) < 0.002
         assert abs(found["cameras, 2 Hz"].lag_s - found["exact, 2 Hz"].lag_s) < 0.005
         assert abs(found["cameras, 2 Hz"].lag_s - found["exact"].lag_s) < 0.005

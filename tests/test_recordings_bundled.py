@@ -12,12 +12,14 @@ from mixo_env.experts.families import family_expert
 from mixo_env.nuscenes.selections import CAMERAS
 from mixo_env.recordings.joint import JOINT
 from mixo_env.recordings.schema import HEADLINE_TRACKS, INERTIAL_EXPERTS, SPLITS
-from mixo_env.recordings.store import bundled_recordings, load_recordings
+from mixo_env.recordings.store import DEFAULT_RECORDINGS, bundled_recordings, read_manifest
+from tests.bundle import bundled
 
 DATA = files("mixo_env.recordings") / "data"
 
 of_this_version = pytest.mark.skipif(
-    load_recordings().manifest.data_version != f"mixocity-{DATA_VERSION}", reason="bundled by an older definition"
+    read_manifest(DATA / DEFAULT_RECORDINGS, "").data_version != f"mixocity-{DATA_VERSION}",
+    reason="bundled by an older definition",
 )
 
 
@@ -29,7 +31,7 @@ def test_they_are_small():
 
 @pytest.mark.parametrize("name", bundled_recordings())
 def test_every_fold_is_fitted(name):
-    recordings = load_recordings(name)
+    recordings = bundled(name)
     for split in ("train", "test"):
         assert len(recordings.select(split=split)) > 0
     folds = {str(fold) for fold in SPLITS["all"]}
@@ -41,7 +43,7 @@ def test_every_fold_is_fitted(name):
 @pytest.mark.parametrize("name", bundled_recordings())
 def test_they_hold_no_path_of_the_machine_that_made_them(name):
     manifest = (DATA / name / "manifest.json").read_text()
-    assert load_recordings(name).manifest.parameters["skipped"] == {}
+    assert bundled(name).manifest.parameters["skipped"] == {}
     assert "/home/" not in manifest
     assert "/tmp/" not in manifest
     assert "/root/" not in manifest
@@ -49,7 +51,7 @@ def test_they_hold_no_path_of_the_machine_that_made_them(name):
 
 @pytest.mark.parametrize("name", bundled_recordings())
 def test_they_have_noise_free_truth(name):
-    recordings = load_recordings(name)
+    recordings = bundled(name)
     assert np.isfinite(recordings["exact.yaw_rad"]).all()
     written = np.hypot(
         recordings["exact.x_m"] - recordings["truth.x_m"], recordings["exact.y_m"] - recordings["truth.y_m"]
@@ -59,7 +61,7 @@ def test_they_have_noise_free_truth(name):
 
 @of_this_version
 def test_mixocity_is_what_was_planned():
-    recordings = load_recordings()
+    recordings = bundled()
     assert {scene.name: scene.fold for scene in recordings.scenes} == planned_folds()
     assert (recordings.manifest.cameras, recordings.manifest.inertial) == (CAMERAS, INERTIAL_EXPERTS)
     assert set(recordings.manifest.variants) == {JOINT}
@@ -69,7 +71,7 @@ def test_mixocity_is_what_was_planned():
 
 @of_this_version
 def test_mixocity_rows_are_scenes_of_mixocity_with_further_rows():
-    whole, rows = load_recordings("mixocity").select(scenes=row_scenes()), load_recordings("mixocity-rows")
+    whole, rows = bundled("mixocity").select(scenes=row_scenes()), bundled("mixocity-rows")
     assert [(scene.name, scene.fold) for scene in rows.scenes] == [(scene.name, scene.fold) for scene in whole.scenes]
     families = {family_expert(family, camera) for family in ("TUTORIAL", "LEARNED") for camera in CAMERAS}
     retrained = {f"{camera} w/ retrained vocabulary" for camera in RETRAINED}
@@ -80,7 +82,7 @@ def test_mixocity_rows_are_scenes_of_mixocity_with_further_rows():
 
 @of_this_version
 def test_mixocity_paper_shows_the_same_drives_in_the_same_folds():
-    small, large = load_recordings("mixocity"), load_recordings("mixocity-paper")
+    small, large = bundled("mixocity"), bundled("mixocity-paper")
     assert {scene.name: scene.fold for scene in large.scenes} == {
         name: planned_folds()[name] for name in full_size_scenes()
     }

@@ -25,8 +25,8 @@ from mixo_env.recordings.carry import (
 from mixo_env.recordings.clock import firing_rounds
 from mixo_env.recordings.drives import drive_hash
 from mixo_env.recordings.keyframes import at_keyframes
-from mixo_env.recordings.store import load_recordings
 from mixo_env.recordings.truth import exact_own_window_increments
+from tests.bundle import bundled, few_drives
 from tests.synthetic import synthetic_recordings
 from tests.test_recordings_clock import stamps, turns
 
@@ -134,7 +134,7 @@ def test_noise_of_that_correlation_is_as_large_as_it_is_told():
 
 
 def test_key_frames_carry_both_ends_only():
-    recordings = load_recordings().select(scenes=["scene-2006", "scene-2050"])
+    recordings = bundled().select(scenes=["scene-2006", "scene-2050"])
     sparse = at_keyframes(recordings)
     for i in range(2):
         keys = np.flatnonzero(recordings.rows(i)["is_keyframe"])
@@ -162,7 +162,7 @@ def test_recordings_without_own_windows_say_so():
 @pytest.mark.parametrize("name", ["mixocity", "mixocity-paper"])
 def test_bundled_columns_are_carried_from_the_bundled_own_windows(name):
     """Carried anew, scene by scene, they are the same to the last bit; variants of a camera too."""
-    recordings = load_recordings(name)
+    recordings = bundled(name)
     camera_of = {camera: camera for camera in recordings.manifest.cameras} | recordings.manifest.variants
     for scene in recordings.scenes[:2]:
         rows = recordings.rows(scene.name)
@@ -175,7 +175,7 @@ def test_bundled_columns_are_carried_from_the_bundled_own_windows(name):
 
 def test_a_drive_of_the_bundled_kind_misses_little():
     """On real increments CAM_BACK_RIGHT adds .0061 deg, not the .006 that was aimed at: hence .007 here."""
-    recordings = load_recordings().select(split="test")
+    recordings = few_drives(12)
     for camera, added_deg in (("CAM_FRONT", 0.006), ("CAM_FRONT_LEFT", 0.011), ("CAM_BACK_RIGHT", 0.007)):
         errors = carry_errors(recordings, camera)
         assert errors["method"] < 0.006 < errors["method 2 Hz"] + 0.005
@@ -201,7 +201,7 @@ def test_exact_own_windows_of_a_known_turn():
 
 
 def test_a_drive_is_known_again_whatever_was_recorded_of_it():
-    small, large = load_recordings("mixocity"), load_recordings("mixocity-paper")
+    small, large = bundled(), bundled("mixocity-paper")
     hashes = [drive_hash(small, i) for i in range(len(small))]
     assert len(set(hashes)) == len(small)
     assert [drive_hash(large, scene.name) for scene in large.scenes] == [

@@ -12,9 +12,8 @@ from mixo_env.errors import RecordingError
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.derived import completed, derivable, scene_rows, stored
 from mixo_env.recordings.store import load_recordings, read_columns, save_recordings, write_columns
+from tests.bundle import bundled
 from tests.synthetic import synthetic_recordings
-
-BUNDLED = load_recordings()
 
 
 def columns_of(recordings: Recordings) -> dict[str, np.ndarray]:
@@ -22,7 +21,7 @@ def columns_of(recordings: Recordings) -> dict[str, np.ndarray]:
 
 
 def test_everything_that_follows_is_left_out_of_a_recording_and_comes_back_to_the_bit():
-    some = BUNDLED.select(scenes=[scene.name for scene in BUNDLED.scenes[:3]])
+    some = bundled().select(scenes=[scene.name for scene in bundled().scenes[:3]])
     kept = stored(columns_of(some), some.manifest)
     cameras = {f"{camera}.yaw_increment_rad" for camera in some.manifest.cameras}
     assert cameras | {"time_s", "truth.distance_m"} <= set(columns_of(some)) - set(kept)
@@ -36,7 +35,7 @@ def test_everything_that_follows_is_left_out_of_a_recording_and_comes_back_to_th
     "column", ["time_s", "dt_s", "truth.distance_m", "CAM_BACK.own_window_s", "CAM_BACK.yaw_std_rad"]
 )
 def test_a_column_that_differs_in_one_bit_is_stored(tmp_path, column):
-    some = BUNDLED.select(scenes=[scene.name for scene in BUNDLED.scenes[:2]])
+    some = bundled().select(scenes=[scene.name for scene in bundled().scenes[:2]])
     other = some[column].copy()
     row = np.flatnonzero(np.isfinite(other) & (other != 0.0))[-1]
     other[row] = np.nextafter(other[row], np.inf, dtype=other.dtype)
@@ -58,7 +57,7 @@ def test_a_file_with_all_columns_is_read_as_well(tmp_path):
 
 def test_by_hand_a_camera_that_misses_a_round():
     """Images at 90, 190 and 410 ms of rounds that close at 100, 200, 300 and 420 ms; then a second scene."""
-    manifest = replace(BUNDLED.manifest, cameras=("CAM_BACK",), variants={}, inertial=())
+    manifest = replace(bundled().manifest, cameras=("CAM_BACK",), variants={}, inertial=())
     nan = np.nan
     table = {
         "step": np.array([0, 1, 2, 3, 0, 1], np.int32),

@@ -6,7 +6,7 @@ from dataclasses import asdict, replace
 
 from mixo_env.experts.monocular.config import PRESETS
 from mixo_env.recordings.presets import OWN_SETTINGS, data_label, preset_of, recorded_preset
-from mixo_env.recordings.store import load_recordings
+from tests.bundle import bundled
 
 
 def test_a_preset_is_known_by_its_settings_whatever_its_vocabulary() -> None:
@@ -18,12 +18,12 @@ def test_a_preset_is_known_by_its_settings_whatever_its_vocabulary() -> None:
 
 
 def test_both_bundled_recordings_name_their_preset() -> None:
-    assert data_label(load_recordings("mixocity").manifest).endswith(" (preset fast)")
-    assert data_label(load_recordings("mixocity-paper").manifest).endswith(" (preset paper)")
+    assert data_label(bundled("mixocity").manifest).endswith(" (preset fast)")
+    assert data_label(bundled("mixocity-paper").manifest).endswith(" (preset paper)")
 
 
 def test_recordings_without_cameras_or_settings_have_no_preset() -> None:
-    manifest = load_recordings("mixocity").manifest
+    manifest = bundled("mixocity").manifest
     for bare in (replace(manifest, cameras=()), replace(manifest, parameters={"import": {}})):
         assert recorded_preset(bare) is None
         assert data_label(bare) == manifest.data_version

@@ -15,6 +15,7 @@ from mixo_env.cli.main import main
 from mixo_env.errors import ConfigurationError, PolicyError
 from mixo_env.leaderboard.board import build
 from mixo_env.leaderboard.report import to_markdown
+from mixo_env.policies.gate import Mixo
 from mixo_env.policies.registry import POLICIES
 from mixo_env.policies.reinforcement import AGENTS
 from mixo_env.recordings.collection import Recordings
@@ -55,7 +56,8 @@ def test_any_number_of_experts_is_scored(tmp_path, experts):
         build(recordings, policies=["HIGHEST MATCH"])
 
 
-def test_match_counts_give_highest_match_a_row(tmp_path):
+def test_match_counts_give_highest_match_a_row(tmp_path, monkeypatch):
+    monkeypatch.setattr(Mixo.__init__, "__kwdefaults__", Mixo.__init__.__kwdefaults__ | {"min_updates": 20})
     board = build(recorded(tmp_path, 2, counts=True), policies=["HIGHEST MATCH", "MIXO", "E0"])
     (table,) = board.standings
     scores = {row.name: row.headline.rotation_deg_per_m.mean for row in table.rows}

@@ -122,8 +122,8 @@ def jpeg_size(file: BinaryIO) -> tuple[int, int] | None:
             return None
         if marker in _SIZE_MARKERS:
             return int.from_bytes(head[at + 7 : at + 9], "big"), int.from_bytes(head[at + 5 : at + 7], "big")
-        if marker == 0xFF:  # fill byte
-            at += 1
+        if marker == 0xFF:  # fill bytes, of which a hostile file may have millions
+            at = len(head) - len(head[at:].lstrip(b"\xff")) - 1
         elif marker in (0xD9, 0xDA) or length < 2:  # end or picture data before any size
             return None
         else:
