@@ -13,7 +13,7 @@ from __future__ import annotations
 import hashlib
 import time
 from dataclasses import dataclass
-from functools import cache, partial
+from functools import cache
 from pathlib import Path
 
 import cv2
@@ -22,11 +22,13 @@ import tyro
 from numpy.typing import NDArray
 
 from experiments.speed.checkouts import HERE, ask, compare, line, serve, server
-from experiments.speed.rendering import TOUR, camera_pose, traffic
+from experiments.speed.rendering import TOUR, camera_pose, passers_by, traffic
 from mixo_env.nuscenes.selections import ALL_CAMERAS
 from mixo_env.simulator.city.vehicles import VehicleState
-from mixo_env.simulator.city.world import CityPlan, build_world
+from mixo_env.simulator.city.world import CityPlan, World, build_world
 from mixo_env.simulator.drive.rig import nominal_calibration
+from mixo_env.simulator.picture.drops import drops_on, glass_of
+from mixo_env.simulator.picture.drops_seen import drops_veil
 from mixo_env.simulator.picture.render import CameraPose, Renderer
 
 LARGE = (800, 450)
@@ -36,7 +38,7 @@ SIZES = ((400, 225), (333, 187), LARGE)
 TURN_RAD = 0.004
 """Yaw during the exposure, so that pictures are smeared over several pixels."""
 
-WEATHERS = ("day", "rain", "night")
+WEATHERS = ("day", "low sun", "rain", "night")
 
 
 @dataclass(frozen=True)
@@ -64,7 +66,7 @@ class View:
     stop: tuple[float, float, float]
 
     def __str__(self) -> str:
-        return f"{self.weather:5s} {self.channel:15s} {self.size[0]}x{self.size[1]}"
+        return f"{self.weather:7s} {self.channel:15s} {self.size[0]}x{self.size[1]}"
 
 
 def views() -> list[View]:
@@ -80,10 +82,12 @@ def views() -> list[View]:
 @cache
 def renderer(weather: str) -> Renderer:
     """Of a small city with many parked cars."""
-    return Renderer(_city(), weather)
+    return Renderer(_city(weather == "low sun"), weather)
 
 
-_city = cache(partial(build_world, 3, CityPlan(half_blocks=2, variety=6, ground_side=1024, parked=0.8)))
+@cache
+def _city(low_sun: bool) -> World:
+    return build_world(3, CityPlan(half_blocks=2, variety=6, ground_side=1024, parked=0.8, low_sun=low_sun))
 
 
 def picture(view: View) -> tuple[NDArray[np.uint8], float]:
@@ -94,8 +98,12 @@ def picture(view: View) -> tuple[NDArray[np.uint8], float]:
     start = camera_pose(calibration, x, y, yaw, -0.03)
     end: CameraPose = camera_pose(calibration, x, y, yaw + TURN_RAD, 0.03)
     turning = VehicleState("sedan", 2, x + 9.0 * np.cos(yaw), y + 9.0 * np.sin(yaw), yaw + 0.4, 6.0, 0.5)
+    people = passers_by(x, y, yaw)
+    drops = drops_on(glass_of(view.channel), (3,), 20.0, calibration.intrinsic[0, 0] / view.size[0])
     began = time.thread_time()
-    shown = draw.render(calibration, start, end, [*traffic(x, y, yaw), turning], noise_seed=5)
+    veil = drops_veil(drops, 5.0, calibration.height, calibration.width) if view.weather == "rain" else None
+    vehicles = [*traffic(x, y, yaw), turning]
+    shown = draw.render(calibration, start, end, vehicles, people=people, noise_seed=5, veil=veil)
     took = time.thread_time() - began
     return shown.image, 1e3 * took
 

@@ -50,6 +50,11 @@ class Profile:
     waves: FloatArray
     steps: FloatArray
 
+    @property
+    def curve(self) -> Curve:
+        """As the compiled loops take it."""
+        return self.waves, self.steps
+
     def at(self, t: FloatArray) -> FloatArray:
         """Value."""
         return _values(np.ravel(t).astype(np.float64), self.waves, self.steps).reshape(np.shape(t))
@@ -89,31 +94,58 @@ def _values(t: FloatArray, waves: FloatArray, steps: FloatArray) -> FloatArray:
 
 
 @compiled_unchecked
-def _slopes(t: FloatArray, waves: FloatArray, steps: FloatArray) -> FloatArray:
-    out = np.zeros(len(t))
-    for i in range(len(t)):
-        if abs(t[i]) <= EDGE_M:
-            for n in range(len(waves)):
-                out[i] += waves[n, 0] * waves[n, 1] * np.cos(waves[n, 1] * t[i] + waves[n, 2])
-            if len(steps) > 0:
-                block, part = _part(t[i])
-                out[i] += steps[block] * 140.0 * (part * (1.0 - part)) ** 3 / ((_SHIFT_TO - _SHIFT_FROM) * BLOCK_M)
-    return out
+def _slope(t: float, waves: FloatArray, steps: FloatArray) -> float:
+    slope = 0.0
+    if abs(t) <= EDGE_M:
+        for n in range(len(waves)):
+            slope += waves[n, 0] * waves[n, 1] * np.cos(waves[n, 1] * t + waves[n, 2])
+        if len(steps) > 0:
+            block, part = _part(t)
+            slope += steps[block] * 140.0 * (part * (1.0 - part)) ** 3 / ((_SHIFT_TO - _SHIFT_FROM) * BLOCK_M)
+    return slope
 
 
 @compiled_unchecked
-def _on_grid(
-    x: FloatArray, y: FloatArray, aside: tuple[FloatArray, FloatArray, FloatArray, FloatArray]
-) -> tuple[FloatArray, FloatArray]:
-    """U and v of points on the map; each round leaves a tenth of the error or less."""
-    waves_x, steps_x, waves_y, steps_y = aside
-    us, vs = x.copy(), y.copy()
+def _slopes(t: FloatArray, waves: FloatArray, steps: FloatArray) -> FloatArray:
+    out = np.empty(len(t))
+    for i in range(len(t)):
+        out[i] = _slope(t[i], waves, steps)
+    return out
+
+
+Curve = tuple[FloatArray, FloatArray]
+"""Waves and steps of a ``Profile``."""
+
+
+@compiled_unchecked
+def _point_on_grid(x: float, y: float, aside_x: Curve, aside_y: Curve) -> tuple[float, float]:
+    """U and v of a point on the map; each round leaves a tenth of the error or less."""
+    u, v = x, y
+    for _ in range(_ROUNDS):
+        u, v = x - _value(v, aside_x[0], aside_x[1]), y - _value(u, aside_y[0], aside_y[1])
+    return u, v
+
+
+@compiled_unchecked
+def _on_grid(x: FloatArray, y: FloatArray, aside_x: Curve, aside_y: Curve) -> tuple[FloatArray, FloatArray]:
+    us, vs = np.empty(len(x)), np.empty(len(x))
     for i in range(len(x)):
-        u, v = x[i], y[i]
-        for _ in range(_ROUNDS):
-            u, v = x[i] - _value(v, waves_x, steps_x), y[i] - _value(u, waves_y, steps_y)
-        us[i], vs[i] = u, v
+        us[i], vs[i] = _point_on_grid(x[i], y[i], aside_x, aside_y)
     return us, vs
+
+
+@compiled_unchecked
+def _ground(points: FloatArray, aside_x: Curve, aside_y: Curve, height_u: Curve, height_v: Curve) -> FloatArray:
+    """See :meth:`Land.below`."""
+    out = np.empty((len(points), 7))
+    for i in range(len(points)):
+        u, v = _point_on_grid(points[i, 0], points[i, 1], aside_x, aside_y)
+        a, b = _slope(v, aside_x[0], aside_x[1]), _slope(u, aside_y[0], aside_y[1])
+        p, q = _slope(u, height_u[0], height_u[1]), _slope(v, height_v[0], height_v[1])
+        out[i, 0] = _value(u, height_u[0], height_u[1]) + _value(v, height_v[0], height_v[1])
+        out[i, 1], out[i, 2] = (p - b * q) / (1.0 - a * b), (q - a * p) / (1.0 - a * b)
+        out[i, 3], out[i, 4], out[i, 5], out[i, 6] = u, v, a, b
+    return out
 
 
 @dataclass(frozen=True)
@@ -147,9 +179,20 @@ class Land:
 
     def grid(self, x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
         """u, v of points on the map."""
-        aside = self.aside_x.waves, self.aside_x.steps, self.aside_y.waves, self.aside_y.steps
-        u, v = _on_grid(np.ravel(x).astype(np.float64), np.ravel(y).astype(np.float64), aside)
+        flat = np.ravel(x).astype(np.float64), np.ravel(y).astype(np.float64)
+        u, v = _on_grid(*flat, self.aside_x.curve, self.aside_y.curve)
         return u.reshape(np.shape(x)), v.reshape(np.shape(y))
+
+    def below(self, points: FloatArray) -> FloatArray:
+        """The ground below a few points, in one call: a picture asks for tens, and each call costs more than a point.
+
+        Args:
+            points: ``(n, 2 or more)`` x and y on the map first.
+
+        Returns:
+            ``(n, 7)`` height, dz/dx and dz/dy as of ``rise``, u and v as of ``grid``, dx/dv and dy/du as of ``bend``.
+        """
+        return _ground(points, self.aside_x.curve, self.aside_y.curve, self.height_u.curve, self.height_v.curve)
 
     def bend(self, u: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray]:
         """dx/dv and dy/du: how the grid lies on the map; dx/du and dy/dv are 1."""

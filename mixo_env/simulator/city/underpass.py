@@ -68,19 +68,24 @@ def sky_share(inside_m: NDArray[np.float64], length_m: float) -> NDArray[np.floa
     return np.where((inside_m < 0.0) | (inside_m > length_m), 1.0, np.minimum(total, 1.0))
 
 
-def light_at(underpasses: NDArray[np.float64], u_m: float, v_m: float) -> float:
-    """Share of the sky's light that falls on what stands at a place.
+def light_at(
+    underpasses: NDArray[np.float64], u_m: NDArray[np.float64] | float, v_m: NDArray[np.float64] | float
+) -> NDArray[np.float64]:
+    """Share of the sky's light that falls on what stands at places.
 
     Args:
         underpasses: ``(n, 4)`` rows of :class:`Underpass`.
-        u_m: on the street grid.
+        u_m: on the street grid, of any shape.
         v_m: likewise.
     """
-    for axis, x, y, length in underpasses.tolist():
-        along, across = (u_m - x, v_m - y) if axis == 0.0 else (v_m - y, u_m - x)
-        if abs(across) < SIDEWALK_M and abs(along) < 0.5 * length:
-            return float(sky_share(np.array(along + 0.5 * length), length))
-    return 1.0
+    axis, x, y, length = underpasses.T
+    du, dv = np.asarray(u_m)[..., None] - x, np.asarray(v_m)[..., None] - y
+    along, across = np.where(axis == 0.0, du, dv), np.where(axis == 0.0, dv, du)
+    inside = (np.abs(across) < SIDEWALK_M) & (np.abs(along) < 0.5 * length)
+    light = np.ones(np.shape(u_m))
+    for *place, bridge in np.argwhere(inside).tolist():  # hardly ever one
+        light[tuple(place)] = sky_share(along[(*place, bridge)] + 0.5 * length[bridge], length[bridge])
+    return light
 
 
 def underpass_mesh(materials: Materials, bridge: Underpass, land: Land = FLAT) -> Mesh:

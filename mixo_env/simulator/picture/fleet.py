@@ -303,12 +303,10 @@ def moving_states(
     states = [(v.x_m, v.y_m, v.yaw_rad, v.speed_mps, v.yaw_rate_radps, 0.0) for v in vehicles]
     states += [(p.x_m, p.y_m, p.yaw_rad, p.speed_mps, 0.0, p.z_m) for p in people]
     known = np.array(states, np.float64).reshape(-1, 6)
-    u, v = land.grid(known[:, X], known[:, Y])
-    known[:, HEIGHT] += land.height(u, v)
-    light = np.ones(len(known))
-    if underpasses is not None and len(underpasses):
-        light[:] = [light_at(underpasses, *place) for place in zip(u.tolist(), v.tolist(), strict=True)]
-    return np.column_stack([known, *land.rise(u, v), u, v, *land.bend(u, v), light])
+    ground = land.below(known)
+    known[:, HEIGHT] += ground[:, 0]
+    light = np.ones(len(known)) if underpasses is None else light_at(underpasses, ground[:, 3], ground[:, 4])
+    return np.column_stack([known, ground[:, 1:], light])
 
 
 @compiled_unchecked

@@ -16,6 +16,7 @@ from numba import float32, int32
 
 from mixo_env.compiled import compiled_unchecked, inlined
 from mixo_env.simulator.city.mesh import GROUND, SOLID
+from mixo_env.simulator.picture.spans import whole
 from mixo_env.simulator.picture.views import (
     MATERIAL,
     W_COLUMN,
@@ -151,7 +152,7 @@ def _carried(
     half, one, two = float32(0.5), float32(1.0), float32(2.0)
     for i in range(out.places.shape[0]):  # whole numbers as floats, exact below 2^24: those run in SIMD
         # Where the image lies.
-        n = float32(i)
+        n = float32(int32(i))
         twice = two * (drop[i] * inverse[i] + rise + steeper * n)
         scale = one / (one - twice * up_z)
         column, row = (x + step * n - twice * up_x) * scale * fx + cx, (y - twice * up_y) * scale * fy + cy
@@ -170,9 +171,9 @@ def _carried(
 def _claim(bits: Int32s, carried: Carried, images: Int64s) -> None:
     """Let cells claim their places; the nearest wins. A claim is 1/z above the index of the pixel to show.
 
-    ``bits`` are those of 1/z, which grow as it does.
+    ``bits`` are those of 1/z, which grow as it does; there are as many cells.
     """
-    for i in range(carried.places.shape[0]):
+    for i in range(bits.shape[0]):
         claim, place = np.int64(bits[i]) << 32 | np.int64(carried.sources[i]), np.uintp(carried.places[i])
         images[place] = max(images[place], claim)
 
@@ -197,7 +198,7 @@ def _puddles(inverse: Float32s, ground: Ground, noise: UInt8s, where: Int32s, cl
     """How clear the mirror is in a run of cells: puddles lie in the map like the noise; far ones blur."""
     x, y, x_step, y_step, px, py = ground
     for i in range(where.shape[0]):
-        z, n = float32(1.0) / inverse[2 * i], float32(i)
+        z, n = float32(1.0) / inverse[2 * i], float32(int32(i))
         u, v = px + z * (x + x_step * n), py + z * (y + y_step * n)
         where[i] = (int32(np.floor(v)) & int32(511)) << int32(9) | int32(np.floor(u)) & int32(511)
     for i in range(where.shape[0]):
@@ -212,7 +213,7 @@ def _shares(share: np.float32, change: np.float32, shown: Int32s, clear: Float32
     per_pixel, top = float32(1.0 / (_FADING_ROWS * width)), float32((_RIPPLE_ROWS + 1) / _FADING_ROWS)
     for i in range(shares.shape[0]):
         inside = min(max(float32(shown[i]) * per_pixel - top, float32(0.0)), float32(1.0))
-        shares[i] = np.int32((share + change * float32(i)) * clear[i] * inside)
+        shares[i] = np.int32((share + change * float32(int32(i))) * clear[i] * inside)
 
 
 @inlined
@@ -237,7 +238,8 @@ def _blend(
     for i in range(out.shape[0]):
         at = max(pixels.places[i] + offset, int32(0))
         here, above = np.uintp(at), np.uintp(max(at - ripple, int32(0)))
-        part = np.int64(pixels.parts[i]) if owner[i] == k else np.int64(0)
+        # A mask that changes nothing, but tells the compiler that the factors of ``mixed`` are short.
+        part = np.int64(pixels.parts[i]) & 255 if owner[i] == k else np.int64(0)
         out[i] = mixed(road[i], (flat[here] >> 1 & _HALVES) + (flat[above] >> 1 & _HALVES), part)
 
 
@@ -259,8 +261,8 @@ def _still_water(x: float, y: float, up: Point) -> float:
 @inlined
 def _end_of_run(owner: Int32s, begin: int, across: int) -> int:
     """First cell after ``begin`` that shows another patch; ``owner`` of the pixels of its first row."""
-    end = begin + 1
-    while end < across and owner[2 * end] == owner[2 * begin]:
+    end, k = begin + 1, owner[2 * begin]
+    while end < across and owner[np.uintp(2 * end)] == k:
         end += 1
     return end
 
@@ -281,14 +283,15 @@ def _carry(seen: Seen, view: View, height_m: float, images: Int64s) -> int:
         float32(fx), float32(fy), float32(cx), float32(cy), float32(up[0]), float32(up[1]), float32(up[2])
     )  # fmt: skip
     step, steeper = 2.0 / fx, 2.0 * up[0] / fx
-    drop = np.full(across, height_m, np.float32)  # height over the ground that was seen last in each column
-    places, sources = np.empty(across, np.int32), np.empty(across, np.int32)
-    near = np.empty(across, np.float32)
+    room = whole(across + 7)  # a run may be computed that far beyond its end
+    drop = np.full(room, height_m, np.float32)  # height over the ground that was seen last in each column
+    places, sources = np.empty(room, np.int32), np.empty(room, np.int32)
+    near = np.zeros(room, np.float32)
     bits = near.view(np.int32)
     top = down
     for line in range(down - 1, -1, -1):
         row, begin = 2 * line, 0
-        near[:] = seen.depth[row, ::2]
+        near[:across] = seen.depth[row, ::2]
         y = (row + 0.5 - cy) / fy
         while begin < across:
             k, end = seen.owner[row, 2 * begin], _end_of_run(seen.owner[row], begin, across)
@@ -302,8 +305,9 @@ def _carry(seen: Seen, view: View, height_m: float, images: Int64s) -> int:
                 top = line
             elif k < 0 or seen.mark[k, MATERIAL] == SOLID:
                 ray = Ray(float32(x), float32(y), float32(step), float32(rise), float32(steeper))
-                carried = Carried(places[:run], sources[:run])
-                _carried(near[begin:end], drop[begin:end], ray, lens, grid, (float32(begin), float32(line)), carried)
+                first, to = (float32(begin), float32(line)), begin + whole(run)
+                carried = Carried(places[: to - begin], sources[: to - begin])
+                _carried(near[begin:to], drop[begin:to], ray, lens, grid, first, carried)
                 _claim(bits[begin:end], carried, images)
             begin = end
     return top

@@ -116,7 +116,7 @@ def _thickness(
     inverse, where, shares = run
     near, per_m, most = float32(puff.z), float32(1.0 / puff.radius), float32(256.0 * puff.opacity)
     for i in range(shares.shape[0]):
-        n = float32(i)
+        n = float32(int32(i))
         a = first[0] + step[0] * n
         inside = max(rest - a * a, float32(0.0))
         # Fades into what stands inside the puff; the sky (depth 0) is behind all of it.

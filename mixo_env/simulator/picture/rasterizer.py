@@ -30,6 +30,7 @@ from mixo_env.simulator.picture.culling import (
     signed_volume,
     turned,
 )
+from mixo_env.simulator.picture.spans import whole
 from mixo_env.simulator.picture.views import (
     SIDES,
     TEXTURE,
@@ -72,7 +73,7 @@ class Work(NamedTuple):
         corner: ``(4, 3)`` of a patch, camera coordinates.
         half_plane: ``(6, 3)`` constant + per column * x + per row * y >= 0 inside.
         crossing: ``(6, 2)`` column at which each of them begins or ends: constant + per row * y.
-        where: ``(w,)`` texels along a row.
+        where: ``(w,)`` texels along a row, and up to seven more.
     """
 
     corner: Float64s
@@ -126,7 +127,7 @@ def _fill(depths: Float32s, owners: Int32s, span: Span, start: float, step: floa
     depth, owner = depths[span.row, span.begin : span.end + 1], owners[span.row, span.begin : span.end + 1]
     first, slope, number = float32(start), float32(step), int32(slot)
     for i in range(depth.shape[0]):
-        w, before = first + slope * float32(i), depth[i]
+        w, before = first + slope * float32(int32(i)), depth[i]
         nearer = w > before
         depth[i] = w if nearer else before
         owner[i] = number if nearer else owner[i]
@@ -152,7 +153,7 @@ def _fill_cut_out(seen: Seen, slot: int, span: Span, number: int, textures: Text
     start, log_w, log_h = table[number, level, 0], table[number, level, 1], table[number, level, 2]
     size = reduce, log_w, (1 << log_w) - 1, (1 << log_h) - 1
     across = p0, p1, q0, q1, w0, w1
-    _find_texels(across, begin, size, where[: end + 1 - begin])
+    _find_texels(across, begin, size, where[: whole(end + 1 - begin)])
     depths, owners = seen.depth[row, begin : end + 1], seen.owner[row, begin : end + 1]
     _keep_covered((w0, w1), begin, textures.texels[start:], slot, where[: end + 1 - begin], depths, owners)
 
@@ -280,14 +281,15 @@ def _take_slot(patches: PatchSet, q: int, r: Ratios, seen: Seen, slot: int) -> N
         seen.mark[slot, j] = patches.tag[q, j]
 
 
-@compiled_unchecked
+@inlined
 def _draw(order: Int64s, patches: PatchSet, view: View, textures: Textures, seen: Seen, work: Work, slot: int) -> int:
     """Draw the patches of the groups ``order`` into the slots from ``slot`` on; returns the next free slot."""
     shape = height, width = seen.depth.shape
     fx, fy, cx, cy = view.fx, view.fy, view.cx, view.cy
     slant_x = np.sqrt(1.0 + max(cx / fx, (width - cx) / fx) ** 2)
     slant_y = np.sqrt(1.0 + max(cy / fy, (height - cy) / fy) ** 2)
-    for g in order:
+    for n in range(order.shape[0]):
+        g = order[n]
         for q in range(patches.group_start[g], patches.group_start[g + 1]):
             geometry, sides = patches.geometry[q], patches.tag[q, SIDES]
             cut_out = sides & CUT_OUT != 0
@@ -344,7 +346,7 @@ def _draw_sets(sets: tuple[PatchSet, ...], view: View, textures: Textures, seen:
     seen.depth[:] = 0.0
     seen.owner[:] = -1
     width = seen.depth.shape[1]
-    work = Work(np.empty((4, 3)), np.empty((6, 3)), np.empty((6, 2)), np.empty(width, np.int32))
+    work = Work(np.empty((4, 3)), np.empty((6, 3)), np.empty((6, 2)), np.empty(whole(width), np.int32))
     begin, slot = bounds[:-1].copy(), 0
     for shell in range(len(SHELLS_M) + 1):
         if shell > 0:

@@ -201,7 +201,7 @@ class Renderer:
     def _add_rain(self, memory: _Memory, view: View, states: Float64s, models: NDArray[np.int64]) -> None:
         """What the wet road mirrors, and the spray behind vehicles, whose states and models these are."""
         seen, radiance, clouds = memory.buffers.seen, memory.canvas.radiance, self.world.sky
-        height_m = float(view.position_m[2] - self._ground_m(view.position_m))
+        height_m = float(view.position_m[2] - self.world.land.below(view.position_m[None])[0, 0])
         mirror_road(radiance, seen, view, height_m, clouds, self.weather.wetness, memory.images)
         puffs = spray_puffs(states, self._fleet.size_m[models], view, self.weather.wetness)
         add_spray(radiance, seen.depth, puffs, view, clouds, self._air)
@@ -232,14 +232,9 @@ class Renderer:
         to_ego = np.column_stack([calibration.rotation_ego_from_camera, calibration.translation_m])
         window, corner = light_window(self.world.lamp_light, EXTENT_M, position_m, near)
         x, y = position_m[:2]
-        rise_x, rise_y = self.world.land.rise(*self.world.land.grid(x, y))
-        ground = np.array([self._ground_m(position_m) - rise_x * x - rise_y * y, rise_x, rise_y])
+        height_m, rise_x, rise_y = self.world.land.below(position_m[None])[0, :3]
+        ground = np.array([height_m - rise_x * x - rise_y * y, rise_x, rise_y])
         return Lamps(window, corner, ground, to_ego[:2].ravel())
-
-    def _ground_m(self, position_m: NDArray[np.float64]) -> float:
-        """Height of the ground below a point."""
-        land = self.world.land
-        return float(land.height(*land.grid(position_m[0], position_m[1])))
 
     def _memory(self, height: int, width: int) -> _Memory:
         """Working arrays for one picture size, made once."""

@@ -26,6 +26,7 @@ _FIELD_MASK = int(EXTENT_M * FIELD_TEXELS_PER_M) - 1
 _U8, _U16 = np.uint32(8), np.uint32(16)  # typed, or Numba would widen every shift to 64 bits
 _LOW, _PAIR = np.uint32(0xFFFF), np.uint32(0x00FF00FF)  # one half of a word; every second byte of it
 
+_LEVEL_FROM = np.array([1.41, 2.83, 5.66, 11.3, 22.6, 45.2, 90.5, 181.0, 362.0, 724.0])  # one in each octave
 _SOFT = 2.0  # per metre: the edge of a house's shadow is half a metre wide
 _WALL_SHARE = 0.65  # of the light on the ground that an upright surface gets from a lamp above
 _FLOOR_UP = 0.7  # upward part of the normal from which a surface counts as ground
@@ -153,19 +154,12 @@ def bytes_at(image: UInt8s, mask: int, u: int, v: int) -> np.int64:
 
 @inlined
 def level(ratio: float) -> int:
-    """Reduction whose texels match ``ratio`` texels a pixel: round(log2(ratio)), by comparison with 2^(n + 1/2)."""
-    return (
-        (ratio > 1.41)
-        + (ratio > 2.83)
-        + (ratio > 5.66)
-        + (ratio > 11.3)
-        + (ratio > 22.6)
-        + (ratio > 45.2)
-        + (ratio > 90.5)
-        + (ratio > 181.0)
-        + (ratio > 362.0)
-        + (ratio > 724.0)
-    )
+    """Reduction whose texels match ``ratio`` texels a pixel: round(log2(ratio)), by comparison with 2^(n + 1/2).
+
+    The exponent of the number says which of the comparisons is the one that matters.
+    """
+    exponent = min(max((np.float64(ratio).view(np.int64) >> 52) - 1023, 0), len(_LEVEL_FROM) - 1)
+    return exponent + (ratio > _LEVEL_FROM[np.uintp(exponent)]) if ratio > _LEVEL_FROM[0] else 0
 
 
 @inlined

@@ -160,10 +160,11 @@ def _read_texture(textures: Textures, number: int, span: Span, foot: Footprint, 
     tap_u, tap_v, step_u, step_v = (
         int(foot.u * reduce), int(foot.v * reduce), int(span.du * reduce), int(span.dv * reduce),
     )  # fmt: skip
+    texels = textures.texels[start:]
     for tap in range(foot.taps):
         keep = np.uint32(0) if tap == 0 else np.uint32(0xFFFFFFFF)
         walk = Walk(u + tap * tap_u, v + tap * tap_v, step_u, step_v)
-        add_texels(textures.texels[start:], size, walk, part.where, keep, part.red_blue, part.green_alpha)
+        add_texels(texels, size, walk, part.where, keep, part.red_blue, part.green_alpha)
 
 
 @inlined
@@ -318,7 +319,7 @@ def shade(shot: Shot, out: Canvas) -> None:
             # Pixels that show the same patch.
             k = owner[row, x]
             end = x + 1
-            while end < width and owner[row, end] == k:
+            while end < width and owner[np.uintp(row), np.uintp(end)] == k:
                 end += 1
             run = Run(row, x, end)
             if k < 0:

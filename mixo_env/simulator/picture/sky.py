@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import float32
+from numba import float32, int32
 
 from mixo_env.compiled import inlined
 from mixo_env.simulator.picture.sampling import Walk, read_grain
@@ -64,7 +64,7 @@ def _blend_sky(
     white, most = float32(_WHITE) * haze0, float32(RADIANCE_TOP)
     for i in range(out.shape[0]):
         cloud = contrast * specks[i]
-        share = (high + rise * float32(i)) * (float32(1.0) - cloud)
+        share = (high + rise * float32(int32(i))) * (float32(1.0) - cloud)
         keep, glow = float32(1.0) - cloud - share, white * cloud
         r, g = haze0 * keep + top0 * share + glow, haze1 * keep + top1 * share + glow
         b = haze2 * keep + top2 * share + glow

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import float32
+from numba import float32, int32
 from numpy.typing import NDArray
 
 from mixo_env.compiled import inlined
@@ -139,5 +139,5 @@ def ramps(
     """Write a motion that changes evenly along a span."""
     u, du, v, dv = float32(along), float32(along_step), float32(down), float32(down_step)
     for i in range(flow_along.shape[0]):
-        flow_along[i] = u + du * float32(i)
-        flow_down[i] = v + dv * float32(i)
+        flow_along[i] = u + du * float32(int32(i))  # of 64 bits they would convert at half the speed
+        flow_down[i] = v + dv * float32(int32(i))
