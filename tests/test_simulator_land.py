@@ -62,6 +62,13 @@ def test_grid_and_map_are_inverse_and_slopes_are_derivatives(seed):
     assert np.hypot(*land.rise(u, v)).max() < 0.06
 
 
+def test_the_ground_below_points_is_what_the_single_questions_answer():
+    land, (x, y) = land_of(STEEP), places(STEEP)
+    u, v = land.grid(x, y)
+    single = np.column_stack([land.height(u, v), *land.rise(u, v), u, v, *land.bend(u, v)])
+    np.testing.assert_array_equal(land.below(np.column_stack([x, y, x])), single)
+
+
 def test_a_rectangle_of_the_grid_is_a_flat_parallelogram():
     land, (u, v) = land_of(STEEP), places(1)
     wide, long = 31.0, 57.0

@@ -15,7 +15,8 @@ from mixo_env.simulator.city.vehicles import VehicleState
 from mixo_env.simulator.city.world import grain_levels, lamp_light
 from mixo_env.simulator.picture.lamps import add_glare, light_window
 from mixo_env.simulator.picture.render import Renderer
-from mixo_env.simulator.picture.sampling import Size, Walk, add_texels, even_cells, read_grain
+from mixo_env.simulator.picture.sampling import Size, Walk, add_texels, even_cells, level, read_grain
+from mixo_env.simulator.picture.sensor import NOISE_SIDE, noise_offsets
 from mixo_env.simulator.picture.views import View
 from tests.tiny_world import FLAT, SUN, camera, plain_texture, pose, surface, world_of
 
@@ -234,3 +235,24 @@ def test_texture_is_interpolated_between_four_texels_and_repeats() -> None:
             wanted = np.einsum("ijc,i,j->c", four, [1.0 - b, b], [1.0 - a, a])
             got = [int(even[i] & 0xFFFF) - 1, int(odd[i] & 0xFFFF), int(even[i] >> 16), int(odd[i] >> 16)]
             assert got == pytest.approx(wanted.tolist(), abs=2.0)
+
+
+def test_the_exponent_chooses_the_reduction_that_the_comparisons_choose():
+    steps = np.array([1.41, 2.83, 5.66, 11.3, 22.6, 45.2, 90.5, 181.0, 362.0, 724.0])
+    ratios = [0.0, 1e-300, 0.7, 1.0, 2.0, 4.0, 1024.0, 1e300, np.inf, np.nan]
+    ratios += [*steps, *np.nextafter(steps, 0.0), *np.nextafter(steps, np.inf)]
+    for ratio in ratios:
+        assert level(ratio) == np.sum(ratio > steps), ratio
+
+
+@pytest.mark.parametrize("seed", [0, 5, 2**63 + 11])
+def test_places_in_the_table_of_noise_are_numbers_of_splitmix(seed: int) -> None:
+    """Against the published generator in Python's own whole numbers."""
+    whole, state, expected = 2**64 - 1, seed, []
+    for _ in range(7):
+        state = (state + 0x9E3779B97F4A7C15) & whole
+        word = ((state ^ state >> 30) * 0xBF58476D1CE4E5B9) & whole
+        word = ((word ^ word >> 27) * 0x94D049BB133111EB) & whole
+        word ^= word >> 31
+        expected.append([word % 2**32 % NOISE_SIDE, (word >> 32) % NOISE_SIDE])
+    np.testing.assert_array_equal(noise_offsets(seed, 7), expected)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import float32, int32
+from numba import float32
 
 from mixo_env.compiled import compiled_unchecked, inlined
 from mixo_env.simulator.picture.views import Float32s, Int8s, Int32s, Int64s, UInt8s
@@ -31,7 +31,6 @@ _FIELD = (1 << 21) - 1  # one colour of a packed radiance
 _STRETCH = 16  # pixels that are smeared as a whole: two SIMD registers of eight, or four of four
 _COARSE = 16  # motion is compared in sixteenths of a pixel
 _ALIKE = 12  # of those: motions that differ by less than a pixel smear alike to the eye
-_STILL = float32(1.0 + 1.0 / _COARSE)  # pixels: whatever is less is at most one in sixteenths cut to whole numbers
 _MOVES_PX = 1.0  # less motion than this within the exposure blurs nothing
 
 
@@ -172,63 +171,65 @@ def _step(at: int, width: int, ax: np.float32, ay: np.float32, steps: float) -> 
 
 
 @inlined
-def _ordered(bits: int) -> np.int32:
-    """The bits of a float as a whole number that grows as the float does, and back."""
-    return int32(bits ^ ((bits >> 31) & 0x7FFFFFFF))
-
-
-@inlined
-def _extremes(bits: Int32s) -> tuple[np.float32, np.float32]:
-    """Smallest and largest float of a stretch; of whole numbers they are found in SIMD."""
-    least = most = _ordered(bits[0])
-    for i in range(1, _STRETCH):  # a length that the compiler knows leaves no loop at all
-        value = _ordered(bits[i])
-        least, most = min(least, value), max(most, value)
-    return np.int32(_ordered(least)).view(np.float32), np.int32(_ordered(most)).view(np.float32)
+def _extremes(values: Int32s) -> tuple[int, int]:
+    """Smallest and largest."""
+    least = most = values[0]
+    for i in range(values.shape[0]):
+        least, most = min(least, values[i]), max(most, values[i])
+    return least, most
 
 
 @inlined
 def _add_six(flat: Int64s, at: tuple[int, int, int, int, int, int], words: Int64s, scales: Float32s) -> None:
     """The mean of six stretches of the picture, which begin at ``at``: their sums and the divisor."""
-    first, second, third, fourth, fifth, sixth = (
-        flat[at[0] :], flat[at[1] :], flat[at[2] :], flat[at[3] :], flat[at[4] :], flat[at[5] :],
-    )  # fmt: skip
-    for i in range(_STRETCH):
+    first, second, third = (
+        flat[at[0] : at[0] + _STRETCH],
+        flat[at[1] : at[1] + _STRETCH],
+        flat[at[2] : at[2] + _STRETCH],
+    )
+    fourth, fifth, sixth = (
+        flat[at[3] : at[3] + _STRETCH],
+        flat[at[4] : at[4] + _STRETCH],
+        flat[at[5] : at[5] + _STRETCH],
+    )
+    for i in range(words.shape[0]):
         words[i] = first[i] + second[i] + third[i] + fourth[i] + fifth[i] + sixth[i]
-    for i in range(_STRETCH):
+    for i in range(scales.shape[0]):
         scales[i] *= float32(1.0 / MOST_SAMPLES)
 
 
 @inlined
-def _coarse(exact: np.float32) -> int:
-    """Motion in sixteenths of a pixel; what leaves 1000 pixels is cut, so that it fits."""
-    return int(min(max(exact, float32(-1000.0)), float32(1000.0)) * float32(_COARSE))
+def _coarsen(exact: Float32s, coarse: Int32s) -> None:
+    """Motion as whole numbers, which compare faster; what leaves 1000 pixels is cut, so that it fits."""
+    for x in range(coarse.shape[0]):
+        coarse[x] = np.int32(min(max(exact[x], float32(-1000.0)), float32(1000.0)) * float32(_COARSE))
 
 
 @inlined
 def _smear(
-    flat: Int64s, shape: tuple[int, int], flow: Float32s, bits: Int32s, y: int, words: Int64s, scales: Float32s
+    flat: Int64s, shape: tuple[int, int], flow: Float32s, y: int, words: Int64s, scales: Float32s, motion: Int32s
 ) -> None:
     """Average row ``y`` along each pixel's motion: sums into ``words``, their divisors into ``scales``.
 
     Most stretches of ``_STRETCH`` pixels move alike, to less than a pixel or an eighth of the motion: they are summed
     as a whole, which runs in SIMD. The others, at edges of things that move differently and at the border of the
     picture, go pixel by pixel.
-    ``bits`` are those of ``flow``.
+    ``motion`` (2, w) is working memory.
     """
     height, width = shape
-    along, down = bits[0, y], bits[1, y]
+    _coarsen(flow[0, y], motion[0])
+    _coarsen(flow[1, y], motion[1])
+    along, down = motion[0], motion[1]
     for begin in range(0, width, _STRETCH):
         end = begin + _STRETCH
         if end > width:
             _smear_pixels(flat, shape, flow, y, (begin, width), words, scales)
             continue
         # How the stretch moves; most of a slow picture stands still.
-        first_u, last_u = _extremes(along[begin:])
-        first_v, last_v = _extremes(down[begin:])
-        if max(max(-first_u, last_u), max(-first_v, last_v)) < _STILL:
+        least_u, most_u = _extremes(along[begin:end])
+        least_v, most_v = _extremes(down[begin:end])
+        if max(max(-least_u, most_u), max(-least_v, most_v)) <= _COARSE:
             continue
-        least_u, most_u, least_v, most_v = _coarse(first_u), _coarse(last_u), _coarse(first_v), _coarse(last_v)
         half = float32(0.5 / _COARSE)
         du, dv = float32(least_u + most_u) * half, float32(least_v + most_v) * half
         length = max(abs(du), abs(dv))
@@ -251,7 +252,7 @@ def _smear(
         at = y * width + begin
         s0, s1, s2 = _step(at, width, ax, ay, -2.5), _step(at, width, ax, ay, -1.5), _step(at, width, ax, ay, -0.5)
         s3, s4, s5 = _step(at, width, ax, ay, 0.5), _step(at, width, ax, ay, 1.5), _step(at, width, ax, ay, 2.5)
-        _add_six(flat, (s0, s1, s2, s3, s4, s5), words[begin:], scales[begin:])
+        _add_six(flat, (s0, s1, s2, s3, s4, s5), words[begin:end], scales[begin:end])
 
 
 @inlined
@@ -264,42 +265,47 @@ def _begin_row(radiance: Int64s, vignette: Float32s, gain: np.float32, words: In
 
 
 @inlined
-def _split(words: Int64s, scales: Float32s, red: Float32s, green: Float32s, blue: Float32s) -> None:
-    """Exposed radiance of each colour of a row."""
-    for x in range(red.shape[0]):
-        word, scale = words[x], scales[x]
-        red[x] = scale * float32(np.int32(word & _FIELD))
-        green[x] = scale * float32(np.int32((word >> 21) & _FIELD))
-        blue[x] = scale * float32(np.int32((word >> 42) & _FIELD))
+def _field(words: Int64s, scales: Float32s, shift: int, out: Float32s) -> None:
+    """Exposed radiance of one colour of a row."""
+    for x in range(out.shape[0]):
+        out[x] = scales[x] * float32(np.int32((words[x] >> shift) & _FIELD))
 
 
 @inlined
-def _byte(value: np.float32) -> np.uint8:
-    """Exposed radiance with noise as it is written."""
-    value = max(value, float32(0.0))
-    # Highlights bend towards white; the root is the gamma of the encoding.
-    value = value * (float32(1.0) + value * _RISE) / (float32(1.0) + value * _BEND)
-    return np.uint8(np.int32(min(float32(255.0) * np.sqrt(value) + float32(0.5), float32(255.0))))
+def _deviation(values: Float32s, shot: np.float32, read: np.float32, out: Float32s) -> None:
+    """Standard deviation of the noise, stronger where there is more light."""
+    for x in range(out.shape[0]):
+        out[x] = np.sqrt(shot * values[x] + read)
 
 
 @inlined
-def _encode(
-    light: tuple[Float32s, Float32s, Float32s],
-    grains: tuple[Int8s, Int8s, Int8s],
-    noise: tuple[np.float32, np.float32],
-    coded: tuple[UInt8s, UInt8s, UInt8s],
-) -> None:
-    """Exposed radiance of a row, red first, as bytes, with noise that is stronger where there is more light."""
-    red, green, blue = light
-    grain0, grain1, grain2 = grains
-    shot, read = noise
-    red_byte, green_byte, blue_byte = coded
-    for x in range(red.shape[0]):
-        # One deviation for all colours, that of green, by which the eye and a grey picture judge most of the light.
-        deviation = np.sqrt(shot * green[x] + read)
-        red_byte[x] = _byte(red[x] + deviation * float32(grain0[x]))
-        green_byte[x] = _byte(green[x] + deviation * float32(grain1[x]))
-        blue_byte[x] = _byte(blue[x] + deviation * float32(grain2[x]))
+def _encode(values: Float32s, grain: Int8s, deviation: Float32s, coded: UInt8s) -> None:
+    """Exposed radiance with noise as bytes."""
+    for x in range(values.shape[0]):
+        value = max(values[x] + deviation[x] * float32(grain[x]), float32(0.0))
+        # Highlights bend towards white; the root is the gamma of the encoding.
+        value = value * (float32(1.0) + value * _RISE) / (float32(1.0) + value * _BEND)
+        coded[x] = np.uint8(np.int32(min(float32(255.0) * np.sqrt(value) + float32(0.5), float32(255.0))))
+
+
+class _Row(NamedTuple):
+    """Working memory for a row of pixels.
+
+    Attributes:
+        words: ``(w,)`` sums of radiance.
+        scales: ``(w,)`` factors between them and what is exposed.
+        motion: ``(2, w)`` in sixteenths of a pixel.
+        values: ``(w,)`` exposed radiance of one colour.
+        deviation: ``(w,)`` of its noise.
+        line: ``(3, w)`` bytes.
+    """
+
+    words: Int64s
+    scales: Float32s
+    motion: Int32s
+    values: Float32s
+    deviation: Float32s
+    line: UInt8s
 
 
 @inlined
@@ -309,43 +315,27 @@ def _interleave(red: UInt8s, green: UInt8s, blue: UInt8s, out: UInt8s) -> None:
         out[3 * x], out[3 * x + 1], out[3 * x + 2] = red[x], green[x], blue[x]
 
 
-class _Row(NamedTuple):
-    """Working memory for a row of pixels.
-
-    Attributes:
-        words: ``(w,)`` sums of radiance.
-        scales: ``(w,)`` factors between them and what is exposed.
-        motion: ``(2, h, w)`` bits of the flow.
-        light: ``(3, w)`` exposed radiance.
-        coded: ``(3, w)`` bytes.
-    """
-
-    words: Int64s
-    scales: Float32s
-    motion: Int32s
-    light: Float32s
-    coded: UInt8s
-
-
 @inlined
 def _expose_rows(
     radiance: Int64s, flat: Int64s, flow: Float32s, offset: Int64s, gain: np.float32, sensor: Sensor, row: _Row,
     out: UInt8s,
 ) -> None:  # fmt: skip
-    """All of :func:`expose` but making its working memory, so that no row counts references to it."""
-    words, scales, light, coded = row.words, row.scales, row.light, row.coded
+    """All of :func:`expose` but making its working memory: nothing here counts references to arrays."""
+    words, scales, motion, values, deviation, line = row
     width = radiance.shape[1]
-    noise = float32(sensor.shot * NOISE_UNIT**2), float32(sensor.read * NOISE_UNIT**2)
+    shot, read = float32(sensor.shot * NOISE_UNIT**2), float32(sensor.read * NOISE_UNIT**2)
     for y in range(radiance.shape[0]):
         # Light that falls on the row while the shutter is open.
         _begin_row(radiance[y], sensor.vignette[y], gain, words, scales)
-        _smear(flat, radiance.shape, flow, row.motion, y, words, scales)
-        # Short loops without branches, so that each runs in SIMD.
-        _split(words, scales, light[0], light[1], light[2])
-        grain = sensor.noise[offset[y, 0], offset[y, 1] : offset[y, 1] + 3 * width]
-        grains = grain[:width], grain[width : 2 * width], grain[2 * width :]
-        _encode((light[0], light[1], light[2]), grains, noise, (coded[0], coded[1], coded[2]))
-        _interleave(coded[0], coded[1], coded[2], out[y])
+        _smear(flat, radiance.shape, flow, y, words, scales, motion)
+        # One deviation for all colours, that of green, by which the eye and a grey picture judge most of the light.
+        _field(words, scales, 21, values)
+        _deviation(values, shot, read, deviation)
+        for channel in range(3):  # short loops without branches, so that each runs in SIMD
+            first = offset[y, 1] + channel * width
+            _field(words, scales, 21 * channel, values)
+            _encode(values, sensor.noise[offset[y, 0], first : first + width], deviation, line[channel])
+        _interleave(line[0], line[1], line[2], out[y])
 
 
 @compiled_unchecked
@@ -362,8 +352,8 @@ def expose(radiance: Int64s, flow: Float32s, offset: Int64s, gain: float, sensor
     """
     height, width = radiance.shape
     row = _Row(
-        np.empty(width, np.int64), np.empty(width, np.float32), flow.view(np.int32),
-        np.empty((3, width), np.float32), np.empty((3, width), np.uint8),
+        np.empty(width, np.int64), np.empty(width, np.float32), np.empty((2, width), np.int32),
+        np.empty(width, np.float32), np.empty(width, np.float32), np.empty((3, width), np.uint8),
     )  # fmt: skip
     flat, lines = radiance.reshape(height * width), out.reshape(height, 3 * width)
     _expose_rows(radiance, flat, flow, offset, float32(gain), sensor, row, lines)
