@@ -61,20 +61,11 @@ def noise_offsets(seed: int, height: int) -> Int64s:
 
     Numbers of SplitMix64 (Steele, Lea and Flood 2014), which needs no generator to be made for every picture.
     """
-    return _noise_offsets(np.uint64(seed), height)
-
-
-@compiled_unchecked
-def _noise_offsets(seed: np.uint64, height: int) -> Int64s:
-    out, side = np.empty((height, 2), np.int64), np.uint64(NOISE_SIDE)
-    for y in range(height):
-        word = seed + np.uint64(y + 1) * np.uint64(0x9E3779B97F4A7C15)
-        word = (word ^ word >> np.uint64(30)) * np.uint64(0xBF58476D1CE4E5B9)
-        word = (word ^ word >> np.uint64(27)) * np.uint64(0x94D049BB133111EB)
-        word ^= word >> np.uint64(31)
-        out[y, 0] = np.int64((word & np.uint64(0xFFFFFFFF)) % side)
-        out[y, 1] = np.int64((word >> np.uint64(32)) % side)
-    return out
+    word = np.uint64(seed) + np.arange(1, height + 1, dtype=np.uint64) * np.uint64(0x9E3779B97F4A7C15)
+    word = (word ^ word >> np.uint64(30)) * np.uint64(0xBF58476D1CE4E5B9)
+    word = (word ^ word >> np.uint64(27)) * np.uint64(0x94D049BB133111EB)
+    halves = (word ^ word >> np.uint64(31)).view(np.uint32).reshape(height, 2)
+    return (halves % np.uint32(NOISE_SIDE)).astype(np.int64)
 
 
 @compiled_unchecked
