@@ -28,7 +28,7 @@ class EpisodeGif:
     """The nuScenes folder that was recorded."""
     recordings: Path | None = None
     """Folder of the recordings; default: the bundled ones."""
-    scene: str = "scene-2062"
+    scene: str = "scene-2248"
     """Scene to play, of the held-out fold."""
     policy: str = "MIXO"
     """Policy to play it, fitted on the training folds."""

@@ -14,6 +14,7 @@ rows that fit the manifest under the other name.
 from __future__ import annotations
 
 import hashlib
+import itertools
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from importlib.resources import files
@@ -45,12 +46,20 @@ GROUPS = 40
 
 def values_hash(columns: Mapping[str, Column]) -> str:
     """Hash of names, types and values (every NaN counts as the same), whatever the order of the columns."""
-    digest = hashlib.blake2b(digest_size=16)
+    return values_hashes(columns, [len(values) for values in columns.values()][:1])[0]
+
+
+def values_hashes(columns: Mapping[str, Column], rows: Sequence[int]) -> list[str]:
+    """As :func:`values_hash`, of scenes of so many rows that stand one after another."""
+    digests = [hashlib.blake2b(digest_size=16) for _ in rows]
+    ends = list(itertools.accumulate(rows, initial=0))
     for name in sorted(columns):
         values = np.ascontiguousarray(canonical(columns[name]))
-        digest.update(f"{name}:{values.dtype.name}:{len(values)};".encode())
-        digest.update(values.data)
-    return digest.hexdigest()
+        said = f"{name}:{values.dtype.name}"
+        for digest, first, end in zip(digests, ends, ends[1:], strict=False):
+            digest.update(f"{said}:{end - first};".encode())
+            digest.update(values[first:end].data)
+    return [digest.hexdigest() for digest in digests]
 
 
 def write_columns(
@@ -154,11 +163,10 @@ def _encoded(recordings: Recordings) -> tuple[dict[str, Column], Manifest, bytes
     _check_columns(
         {name: recordings[name].dtype.name for name in recordings.column_names}, recordings.manifest, "cannot save"
     )
-    entries = tuple(
-        replace(scene, values_hash=values_hash(recordings.rows(i))) for i, scene in enumerate(recordings.scenes)
-    )
+    columns = {name: recordings[name] for name in schema_columns(*_experts(recordings.manifest))}
+    hashes = values_hashes(columns, [scene.rows for scene in recordings.scenes])
+    entries = tuple(replace(scene, values_hash=h) for scene, h in zip(recordings.scenes, hashes, strict=True))
     manifest = replace(recordings.manifest, scenes=entries)
-    columns = {name: recordings[name] for name in schema_columns(*_experts(manifest))}
     return stored(columns, manifest), manifest, encode_manifest(manifest)
 
 
@@ -260,12 +268,10 @@ def _verified(manifest: Manifest, path: Traversable, label: str, cure: str) -> R
             f"got {len(rows)} of {sum(rows)} (or another order); {cure}"
         )
     columns = completed(columns, manifest)
-    recordings = Recordings(manifest, {name: columns[name] for name in layout})
-    hashed = Recordings(manifest, {name: canonical(values) for name, values in columns.items()})
-    for i, scene in enumerate(manifest.scenes):
-        if values_hash(hashed.rows(i)) != scene.values_hash:
+    for scene, found in zip(manifest.scenes, values_hashes(columns, rows), strict=True):
+        if found != scene.values_hash:
             raise RecordingError(f"{label}: the values of {scene.name} differ from the manifest's hash; {cure}")
-    return recordings
+    return Recordings(manifest, {name: columns[name] for name in layout})
 
 
 def _check_columns(dtypes: Mapping[str, str], manifest: Manifest, label: str, cure: str = "") -> None:

@@ -24,7 +24,6 @@ from docs._pages.data_sheet.outcomes import (
     yaw_errors,
 )
 from docs._pages.data_sheet.shares_section import shares_section
-from experiments.mixocity import DATA_VERSION
 from mixo_env.errors import ConfigurationError
 from mixo_env.leaderboard.firing_order import best_shares
 from mixo_env.recordings.collection import Recordings
@@ -61,7 +60,7 @@ def page(recordings: Recordings, measured: Stored, real: Stored, study: Stored |
     differences = Differences()
     beside = _beside_real(recordings, measured, real, differences)  # finds the differences that are listed later
     sections = [
-        prose.HEAD.format(data=recordings.manifest.data_version) + _older(recordings.manifest.data_version),
+        prose.HEAD.format(data=recordings.manifest.data_version),
         _how_made(recordings, measured),
         _sights(measured),
         beside,
@@ -70,12 +69,6 @@ def page(recordings: Recordings, measured: Stored, real: Stored, study: Stored |
         shares_section(study),
     ]
     return "\n\n".join(section.strip() for section in sections) + "\n"
-
-
-def _older(data_version: str) -> str:
-    """A paragraph where the simulator has gone on since the recordings."""
-    present = f"mixocity-{DATA_VERSION}"
-    return "" if data_version == present else prose.OLDER.format(data=data_version, present=present)
 
 
 def table(headings: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

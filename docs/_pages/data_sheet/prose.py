@@ -10,12 +10,6 @@ works without data and results on it are worth something. It is simulated: claim
 recordings.
 """
 
-OLDER = """
-**The simulator has gone on since.** `{data}` was rendered before there were people, drops on the lens, a low sun,
-underpasses, bends, hills and roundabouts, and its drives were dealt from 135 real trajectories. Figures and pictures
-below are of `{data}`, words are of the present simulator; `make mixocity` makes `{present}`, 344 scenes of it.
-"""
-
 HOW_MADE = """## How it was made
 
 `make mixocity` does everything, resumable; stage by stage it is `python -m experiments.mixocity`. In short:
@@ -57,9 +51,8 @@ Each follows a description that others have measured; none was set by what it do
 """
 
 LOGS = """Every log is one drive of one of two cars through a city of its own. Wheel radius: mean of the rear axle;
-course: direction of travel minus heading; lag: how late the written poses are (here it differs between the logs of one
-car, in cities simulated with later versions it is the car's own); then the constant biases of three yaw-rate
-sensors."""
+course: direction of travel minus heading; lag: how late the written poses are, the car's own; then the constant biases
+of three yaw-rate sensors."""
 
 SAMPLES = """Every situation and condition once, from the first such scene by day: the middle image; in traffic the
 image that moving vehicles (lead truck, following van: of that kind) cover most, up to 60 %; in turns the sharpest; of
