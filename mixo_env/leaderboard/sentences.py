@@ -144,7 +144,8 @@ def _folds(board: Leaderboard) -> str:
         part = {row.name for t in board.standings for row in t.one_fold_rows} - {
             r.name for t in board.standings for r in t.rows
         }
-        folds += f" {', '.join(sorted(part))} is fitted once and tested on fold {protocol.tested_folds[-1]}."
+        verb = "is" if len(part) == 1 else "are"
+        folds += f" {', '.join(sorted(part))} {verb} fitted once and tested on fold {protocol.tested_folds[-1]}."
     return folds
 
 
