@@ -41,14 +41,14 @@ and has constant weights for each, fitted on the other folds.
 ## What it says
 
 * **The claim holds in kind.** MIXO does prefer cameras by manoeuvre, beyond chance: in left turns CAM_BACK and
-  CAM_FRONT_LEFT gain what CAM_FRONT and the gyro lose, in right turns CAM_BACK gains what CAM_FRONT_LEFT and the gyro
-  lose. Constant weights fitted for each manoeuvre alone (LINEAR BY MANOEUVRE †) move much the same way. The truth
-  (MULTICAMERA GT †) agrees about CAM_BACK and CAM_FRONT; it has CAM_FRONT_LEFT stay.
+  CAM_FRONT_LEFT gain what CAM_FRONT and the gyro lose, in right turns CAM_BACK and CAM_FRONT gain what CAM_FRONT_LEFT
+  and the gyro lose. Constant weights fitted for each manoeuvre alone (LINEAR BY MANOEUVRE †) move much the same way.
+  The truth (MULTICAMERA GT †) agrees about CAM_BACK; it has CAM_FRONT lose in turns of both kinds.
 * **It is worth little.** Told the manoeuvre by the truth, constant weights reach {told:.2f} 10⁻³ deg/m where LINEAR has
-  {linear:.2f}; MIXO, which also sees matches, {mixo:.2f}. TOKEN, which looks at disagreement, has {token:.2f}, and its
-  weights change with the turn no more than MIXO's do: who errs *now* matters more than what the car does.
-* HUBER's means move by a hundredth, LINEAR's not at all beyond what its four fits differ by; both keep up with MIXO or
-  are not far behind. PPO, on its one fold, turns from CAM_FRONT to CAM_BACK in left turns and not in right ones.
+  {linear:.2f}; MIXO, which also sees matches, {mixo:.2f}. TOKEN, which looks at disagreement, has {token:.2f}: who errs
+  *now* matters more than what the car does. In turns it takes most of its weight from the gyro.
+* HUBER's means move by a hundredth and it is ahead of MIXO; LINEAR's do not move at all beyond what its four fits
+  differ by. PPO, on its one fold, moves as MIXO does, and less.
 * While the car stands errors are six times smaller, and weights matter little.
 * What differs from the paper: CAM_BACK is as good as CAM_FRONT here ([fusion.md](fusion.md)), so a gate has less to
   move than with the paper's weak rear and side views. Its claim on nuScenes stays open until someone records that:
