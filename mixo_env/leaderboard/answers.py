@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import PurePath
@@ -62,13 +63,19 @@ def _winner(rows: Sequence[Values]) -> str:
     score = next(iter(row["scores"].values()))
     interval = score["rotation_deg_per_m"]
     ends = "" if interval["low"] is None else f" [{interval['low']:.4f}, {interval['high']:.4f}]"
+    ahead = [
+        f"{other['policy']} {error:.4f}"
+        for other in rows
+        if not other["privileged"] and other["reference"] and (error := error_of(other) or math.inf) < interval["mean"]
+    ]
     text = f"{row['policy']} errs least, {interval['mean']:.4f}{ends} deg/m, ATE {score['ate_m']:.2f} m"
     against = [
         f"{percent(found['share'])} against {name}"
         for name, found in row["differences"].items()
         if found and found["share"] is not None
     ]
-    return f"{text}{'; ' if against else ''}{', '.join(against)}."
+    unheard = f" Without a vote and ahead of it: {', '.join(ahead)}." if ahead else ""
+    return f"{text}{'; ' if against else ''}{', '.join(against)}.{unheard}"
 
 
 def _significance(table: Values) -> str:
