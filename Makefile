@@ -66,7 +66,7 @@ browser: .venv/integrations  ## pages opened in Chromium, found by MIXO_CHROMIUM
 TRACED := $(wildcard tests/test_metrics_*.py tests/test_envs_*.py tests/test_recordings_*.py tests/test_policies_*.py)
 TRACED += $(wildcard tests/test_faults_*.py tests/test_leaderboard_*.py tests/test_sequences*.py tests/test_pose_lag*.py)
 TRACED += tests/test_baselines.py tests/test_baselines_rules.py tests/test_baselines_learning.py tests/test_fusion.py
-TRACED += tests/test_cli_export.py tests/test_cli_record.py tests/test_track_unequal.py
+TRACED += tests/test_fault_contract.py tests/test_cli_export.py tests/test_cli_record.py tests/test_track_unequal.py
 LIBRARIES := tests/test_recordings_cluster.py tests/test_envs_integrations.py
 KERNELS := tests/test_envs_replay.py tests/test_envs_budget.py
 

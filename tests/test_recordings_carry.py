@@ -63,6 +63,12 @@ def test_without_an_image_in_the_round_before_there_is_no_carried_increment():
     assert np.isnan(carry(own)[1][[2, 3]]).all()
 
 
+def test_a_scene_of_one_round_has_no_step():
+    carried, std = carry(windows([NAN], tail=(0.02,)))
+    assert np.isnan([carried, std]).all()
+    assert carried.shape == std.shape == (1,)
+
+
 def test_the_standard_deviation_by_hand():
     own = windows([NAN, 0.01, 0.02, 0.03])
     std = carry(own)[1]
