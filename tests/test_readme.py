@@ -20,12 +20,11 @@ from tests.test_pages_folders import FOLDER, stand_in
 ROOT = Path(__file__).parent.parent
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 PYTHON = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
-LINES = [
-    line.removeprefix("$ ")
+BLOCKS = [
+    [line.removeprefix("$ ") for line in block.splitlines() if line.startswith("$ ")]
     for block in re.findall(r"```console\n(.*?)```", README, re.DOTALL)
-    for line in block.splitlines()
-    if line.startswith("$ ")
 ]
+LINES = [line for block in BLOCKS for line in block]
 COMMANDS = [line for line in LINES if line.startswith("mixo ")]
 SIMULATE = "mixo simulate "
 """Draws two scenes at full size, minutes: only parsed; a smaller city stands in for what it would write."""
@@ -76,12 +75,13 @@ def prepare(work: Path) -> None:
 
 
 @pytest.mark.site
-def test_the_commands_are_followed_word_by_word(tmp_path: Path) -> None:
+@pytest.mark.parametrize("block", [block for block in BLOCKS if block[0] in COMMANDS], ids=lambda block: block[0][:20])
+def test_the_commands_are_followed_word_by_word(block: list[str], tmp_path: Path) -> None:
     """In order, as one reader would; only the path of the real folder is another."""
     prepare(tmp_path)
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
     printed = {}
-    for line in COMMANDS:
+    for line in block:
         if line.startswith(SIMULATE):
             continue
         done = subprocess.run(
@@ -95,10 +95,12 @@ def test_the_commands_are_followed_word_by_word(tmp_path: Path) -> None:
         assert done.returncode == 0, (line, done.stdout, done.stderr)
         printed[line] = done.stdout
     tables = [out for line, out in printed.items() if line.startswith("mixo benchmark")]
-    assert len(tables) == 3
-    assert all("LINEAR" in out for out in tables)
-    assert all("ORB" in out for out in tables[-1:])
-    assert any("SUREST - MIXO: " in out for out in printed.values())
+    assert len(tables) == 1
+    assert "LINEAR" in tables[0]
+    assert ("ORB" in tables[0]) == ("mixo import" in block[0])
+    scores = [out for line, out in printed.items() if line.startswith("mixo score")]
+    assert all("SUREST - MIXO: " in out for out in scores)
+    assert bool(scores) == ("mixo inspect" in block[0])
 
 
 def test_what_make_is_asked_for_is_in_the_makefile() -> None:
