@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 from experiments.situation_shares import kendall_tau
 from experiments.studies import print_study
 from mixo_env.errors import ConfigurationError
-from mixo_env.leaderboard.evaluation import FLOORS
 from mixo_env.tables import Cell, Column, Table
 
 FloatArray = NDArray[np.float64]
@@ -152,7 +151,7 @@ def read_errors(results: Path, track: str) -> Errors:
     of_row: dict[str, dict[str, dict[str, str]]] = {}
     for line in lines:
         of_row.setdefault(line["policy"], {})[line["scene"]] = line
-    whole = {name: found for name, found in of_row.items() if len(found) == len(scenes) and name not in FLOORS}
+    whole = {name: found for name, found in of_row.items() if len(found) == len(scenes)}
     if len(whole) < 4:
         raise ConfigurationError(f"{results}: expected at least four rows of track {track}, got {len(whole)}")
     first = next(iter(whole.values()))

@@ -24,7 +24,7 @@ def test_everything_that_follows_is_left_out_of_a_recording_and_comes_back_to_th
     some = bundled().select(scenes=[scene.name for scene in bundled().scenes[:3]])
     kept = stored(columns_of(some), some.manifest)
     cameras = {f"{camera}.yaw_increment_rad" for camera in some.manifest.cameras}
-    assert cameras | {"time_s", "truth.distance_m"} <= set(columns_of(some)) - set(kept)
+    assert cameras | {"time_s", "dt_s", "truth.distance_m"} <= set(columns_of(some)) - set(kept)
     whole = completed(kept, some.manifest)
     for name in some.column_names:
         assert whole[name].dtype == some[name].dtype
@@ -91,8 +91,8 @@ def test_large_recordings_have_few_row_groups_of_whole_scenes(tmp_path):
 
 def test_a_file_whose_first_row_is_no_start_is_refused(tmp_path):
     save_recordings(synthetic_recordings(scenes=3), tmp_path)
-    columns, rows, _ = read_columns((tmp_path / "recordings.parquet").read_bytes())
+    columns, _, _ = read_columns((tmp_path / "recordings.parquet").read_bytes())
     columns["step"][0] = 1
-    write_columns(tmp_path / "recordings.parquet", columns, rows)
+    write_columns(tmp_path / "recordings.parquet", columns, [len(columns["step"])])
     with pytest.raises(RecordingError, match="expected 3 scenes"):
         load_recordings(tmp_path)

@@ -116,7 +116,7 @@ def test_data_cannot_end_the_script_it_stands_in() -> None:
 
 
 def test_the_command_names_what_differs_from_the_usual() -> None:
-    plain = {"recordings": "/home/me/my drives", "seed": 3, "seeds": 1}
+    plain = {"recordings": "somewhere/my drives", "seed": 3, "seeds": 1}
     plain |= {"asked": {"tracks": [], "policies": []}}
     assert command(plain | {"ground_truth": "poses"}) == "mixo benchmark --recordings 'my drives' --seed 3"
 

@@ -46,7 +46,7 @@ and has constant weights for each, fitted on the other folds.
   The truth (MULTICAMERA GT †) agrees about CAM_BACK; it has CAM_FRONT lose in turns of both kinds.
 * **It is worth little.** Told the manoeuvre by the truth, constant weights reach {told:.2f} 10⁻³ deg/m where LINEAR has
   {linear:.2f}; MIXO, which also sees matches, {mixo:.2f}. TOKEN, which looks at disagreement, has {token:.2f}: who errs
-  *now* matters more than what the car does. In turns it takes most of its weight from the gyro.
+  *now* matters more than what the car does. In turns it leaves the gyro next to nothing.
 * HUBER's means move by a hundredth and it is ahead of MIXO; LINEAR's do not move at all beyond what its four fits
   differ by. PPO, on its one fold, moves as MIXO does, and less.
 * While the car stands errors are six times smaller, and weights matter little.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import shlex
 from collections.abc import Mapping, Sequence
 from pathlib import PurePath
@@ -66,7 +65,10 @@ def _winner(rows: Sequence[Values]) -> str:
     ahead = [
         f"{other['policy']} {error:.4f}"
         for other in rows
-        if not other["privileged"] and other["reference"] and (error := error_of(other) or math.inf) < interval["mean"]
+        if not other["privileged"]
+        and other["reference"]
+        and (error := error_of(other)) is not None
+        and error < interval["mean"]
     ]
     text = f"{row['policy']} errs least, {interval['mean']:.4f}{ends} deg/m, ATE {score['ate_m']:.2f} m"
     against = [
