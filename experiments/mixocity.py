@@ -33,7 +33,7 @@ from mixo_env.recordings.vehicles import training_constants
 from mixo_env.recordings.vocabularies import Retrained, retrain
 from mixo_env.simulator.config import SimulationConfig
 from mixo_env.simulator.dataset import simulate
-from mixo_env.simulator.drive.scenario import LOCATION, plan_logs
+from mixo_env.simulator.drive.scenario import LOCATION, LogPlan, plan_logs
 
 logger = logging.getLogger(__name__)
 
@@ -52,20 +52,23 @@ Stage = Literal["simulate", "record", "vocabularies", "record-rows", "simulate-p
 
 
 def row_scenes() -> tuple[str, ...]:
-    """The subset on which further rows stand: the first scene of 40 of the 80 drives that are not at night.
-
-    Folds deal out logs in order of name, one each in turn; of every eight logs in that order the first four are taken,
-    so that the rule of the folds says the same of the subset alone, and retrained words stay in their folds.
-    """
-    logs = sorted((log for log in plan_logs(CONFIG) if log.weather != "night"), key=lambda log: log.logfile)
-    return tuple(sorted(log.scenes[0].name for number, log in enumerate(logs) if number % 8 < FOLDS))
+    """The subset on which further rows stand: the first scene of 28 of the 80 drives that are not at night."""
+    return tuple(sorted(log.scenes[0].name for log in _row_logs()))
 
 
 def full_size_scenes() -> tuple[str, ...]:
-    """Two scenes of every fold, the first and the last of ``row_scenes`` there."""
-    fold_of = planned_folds()
-    of_fold = [[name for name in row_scenes() if fold_of[name] == fold] for fold in range(FOLDS)]
-    return tuple(sorted(name for names in of_fold for name in (names[0], names[-1])))
+    """Two scenes of every fold: of its first and its last drive, in order of the logs' names, in ``row_scenes``."""
+    names = [log.scenes[0].name for log in _row_logs()]
+    return tuple(sorted(names[:FOLDS] + names[-FOLDS:]))
+
+
+def _row_logs() -> list[LogPlan]:
+    """Folds deal out logs in order of name, one each in turn; of every twelve in that order these are the first four.
+
+    So the rule of the folds says the same of the subset alone, and retrained words stay in their folds.
+    """
+    logs = sorted((log for log in plan_logs(CONFIG) if log.weather != "night"), key=lambda log: log.logfile)
+    return [log for number, log in enumerate(logs) if number % 12 < FOLDS]
 
 
 def planned_folds() -> dict[str, int]:
@@ -98,7 +101,7 @@ class Build:
     cache: Path = Path.home() / ".cache" / "mixocity"
     """Where images, vocabularies and unfinished recordings are kept (about 22 GB, nearly all images)."""
     out: Path = Path(mixo_env.__file__).parent / "recordings" / "data"
-    """Where finished recordings go: ``mixocity``, ``mixocity-rows`` (40 scenes with all rows) and ``mixocity-paper`` (8
+    """Where finished recordings go: ``mixocity``, ``mixocity-rows`` (28 scenes with all rows) and ``mixocity-paper`` (8
     scenes at 1600 x 900, preset "paper")."""
     stages: tuple[Stage, ...] = get_args(Stage)
     """What to do, in this order; all by default."""

@@ -37,14 +37,14 @@ def test_scenes_weather_and_folds():
         assert Counter(log.vehicle for log in inside) == {"m001": 10, "m002": 10}
 
 
-def test_further_rows_stand_on_forty_drives_and_the_rule_of_the_folds_says_the_same_of_them_alone():
+def test_further_rows_stand_on_28_drives_and_the_rule_of_the_folds_says_the_same_of_them_alone():
     names, fold_of = row_scenes(), planned_folds()
     log_of = {scene.name: log for log in plan_logs(CONFIG) for scene in log.scenes}
-    assert len({log_of[name].logfile for name in names}) == len(names) == 40
+    assert len({log_of[name].logfile for name in names}) == len(names) == 28
     alone = [SceneEntry(n, log_of[n].logfile, log_of[n].vehicle, "", (log_of[n].weather,), -1, 0) for n in names]
     assert folds_by_log(alone) == [fold_of[name] for name in names]
-    assert Counter(fold_of[name] for name in names) == dict.fromkeys(range(FOLDS), 10)
-    assert Counter(log_of[name].vehicle for name in names) == {"m001": 20, "m002": 20}
+    assert Counter(fold_of[name] for name in names) == dict.fromkeys(range(FOLDS), 7)
+    assert Counter(log_of[name].vehicle for name in names) == {"m001": 16, "m002": 12}
 
 
 def test_every_situation_is_staged_and_most_scenes_are_ordinary():
