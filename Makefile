@@ -16,6 +16,8 @@ mixocity: .venv/integrations  ## the bundled recordings anew, from nothing: hour
 
 mixocity-failures: .venv/installed  ## the failure suite and its table, from nothing: hours; resumable
 	$(BIN)/python -m experiments.failures --workers $(WORKERS)
+	cp results/failures/failures.json mixo_env/leaderboard/
+	cp results/failures/failures.png docs/figures/
 
 weights: .venv/installed  ## weights that come with the package, anew; needed after new recordings or another fit; resumable
 	$(BIN)/mixo train --all --out mixo_env/policies/weights --workers $(WORKERS)

@@ -35,7 +35,7 @@ from mixo_env.simulator.dataset import simulate
 
 logger = logging.getLogger(__name__)
 
-Stage = Literal["record", "table"]
+Stage = Literal["record", "table", "sample"]
 
 SEEDS = {"table": 1700, "development": 2700}
 """First of the drives that are printed, and of those that a method may be tried on; every situation has the next one.
@@ -59,6 +59,10 @@ SOUND = "ordinary"
 """The kind whose pictures the faults spoil."""
 
 
+SAMPLED = {"ordinary": 2, "frozen": 2, "side_queue": 2}
+"""Kind -> how many of its scenes lie beside the tests."""
+
+
 @dataclass(frozen=True)
 class Failures:
     """Make the failure suite and its table, or what is still missing of them.
@@ -76,7 +80,7 @@ class Failures:
     out: Path = Path("results/failures")
     """Folder of failures.json, failures.md and failures.png."""
     stages: tuple[Stage, ...] = get_args(Stage)
-    """record: simulate and record; table: score what is recorded."""
+    """record: simulate and record; table: score what is recorded; sample: put a few scenes beside the tests."""
     kinds: tuple[str, ...] = KINDS
     """Columns; all by default."""
     drives: Literal["table", "development"] = "table"
@@ -91,6 +95,8 @@ class Failures:
     """Of the images [px]; 9/16 of it is their height."""
     workers: int = 2
     """Processes; the result does not depend on it."""
+    samples: Path = Path("tests/data/failures")
+    """Folder for a few of the recorded scenes."""
 
     def __post_init__(self) -> None:
         for kind in self.kinds:
@@ -114,6 +120,19 @@ class Failures:
             recorded = {kind: load_recordings(str(self.folder(kind) / "recordings")) for kind in self.kinds}
             write_tables(recorded, load_recordings(), writable_folder(self.out), self.policies)
             logger.info("table: %s", self.out)
+        if "sample" in self.stages:
+            for kind in SAMPLED.keys() & set(self.kinds):
+                self.sample(kind)
+
+    def sample(self, kind: str) -> None:
+        """Copy the first scenes of one kind to where the tests find them.
+
+        Raises:
+            RecordingError: when the kind is not recorded yet.
+        """
+        recordings = load_recordings(str(self.folder(kind) / "recordings"))
+        names = [scene.name for scene in recordings.scenes[: SAMPLED[kind]]]
+        save_recordings(recordings.select(scenes=names), self.samples / kind)
 
     def recorded(self, kind: str) -> bool:
         """Whether a kind is done."""

@@ -12,15 +12,17 @@ import numpy as np
 from mixo_env.errors import ConfigurationError, PolicyError
 from mixo_env.files import atomic_path, write_json, write_text
 from mixo_env.leaderboard.comparisons import Comparison
-from mixo_env.leaderboard.crossvalidation import UNFOLDED, CrossValidation, Run
+from mixo_env.leaderboard.crossvalidation import UNFOLDED, CrossValidation, Run, Trial
 from mixo_env.leaderboard.evaluation import Truth, rollout
+from mixo_env.leaderboard.results import FAILURES_FILE
 from mixo_env.leaderboard.rows import Scorer
+from mixo_env.leaderboard.weights import shipped
 from mixo_env.metrics.bootstrap import holm
-from mixo_env.policies.fitting import prepare
 from mixo_env.policies.policy import Policy
-from mixo_env.policies.registry import create, kind, names
+from mixo_env.policies.registry import names
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.truths import with_truth
+from mixo_env.recordings.variants import as_variant
 from mixo_env.tables import Column, Table
 
 TRACK = "VISION"
@@ -77,26 +79,21 @@ def check_experts(suite: Recordings, headline: Recordings, name: str) -> None:
                 )
 
 
-def fitted(chosen: Sequence[str], suite: Recordings, headline: Recordings) -> list[Policy]:
+def fitted(chosen: Sequence[str], suite: Recordings, headline: Recordings) -> dict[str, Policy]:
     """Rows in the order of the tables, fitted on the headline's scenes by day and in rain, and on nothing else."""
-    training = CrossValidation(suite, bundled=lambda: headline).training(UNFOLDED)
-    usual = [name for name in names(suite) if INSTANT not in name and not kind(name, suite).expensive]
-    policies = []
-    for name in chosen or usual:
-        policy = create(name, suite)
-        prepare(policy, training, TRACK)
-        policies.append(policy)
-    return policies
+    division = CrossValidation(suite, Trial(weights=shipped()), bundled=lambda: headline)
+    usual = [name for name in names(suite) if INSTANT not in name and not division.expensive(name)]
+    return {name: division.fitted(name, TRACK, UNFOLDED, 0) for name in chosen or usual}
 
 
-def score(policies: Sequence[Policy], suite: Recordings) -> Scored:
+def score(policies: Mapping[str, Policy], suite: Recordings) -> Scored:
     """Play every row on one kind, and compare."""
     scenes = with_truth(CrossValidation(suite).recordings, "exact")
     scorer, everything = Scorer(scenes, {"exact": Truth(scenes)}, floor=0.0, seed=0), np.ones(len(scenes), np.bool_)
     rows = []
-    for policy in policies:
-        travel = rollout(policy, scenes, TRACK, privileged=policy.privileged)
-        run = Run(policy.name, policy.privileged, policy.learns, {"exact": (travel,)}, everything, {})
+    for name, policy in policies.items():
+        travel = rollout(policy, as_variant(scenes, name), TRACK, privileged=policy.privileged)
+        run = Run(name, policy.privileged, policy.learns, {"exact": (travel,)}, everything, {})
         rows.append(scorer.row(TRACK, run))
     errors = {row.name: float(row.headline.rotation_deg_per_m.mean) for row in rows}
     comparisons = scorer.compare(rows)
@@ -131,8 +128,18 @@ def write_tables(
             raise ConfigurationError(
                 f"{name}: no scene of {of.scenes} is as long as the shortest path that is scored: make --seconds longer"
             )
-    matrix = {policy.name: {name: of.errors[policy.name] for name, of in scored.items()} for policy in policies}
-    write_json(out / "failures.json", {"data_version": headline.manifest.data_version, "matrix": matrix})
+    write_json(
+        out / FAILURES_FILE,
+        {
+            "data_version": headline.manifest.data_version,
+            "track": TRACK,
+            "scenes": {name: of.scenes for name, of in scored.items()},
+            "privileged": [policy.name for policy in policies if policy.privileged],
+            "matrix": {
+                policy.name: {name: of.errors[policy.name] for name, of in scored.items()} for policy in policies
+            },
+        },
+    )
     write_text(out / "failures.md", markdown(scored, headline.manifest.data_version))
     draw(scored, out / "failures.png")
     return scored

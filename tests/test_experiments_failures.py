@@ -23,7 +23,7 @@ from mixo_env.simulator.drive.scenario import plan_logs
 
 pytestmark = pytest.mark.rendering
 
-ROWS = ("CAM_FRONT", "LINEAR", "HUBER")
+ROWS = ("CAM_FRONT", "JOINT", "LINEAR", "HUBER")
 KINDS_HERE = ("ordinary", "black")
 
 
@@ -37,7 +37,17 @@ def headline() -> Recordings:
 @pytest.fixture(scope="module")
 def suite(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Failures]:
     root = tmp_path_factory.mktemp("failures")
-    made = Failures(root, root / "out", kinds=KINDS_HERE, policies=ROWS, scenes=2, seconds=5, width=160, workers=1)
+    made = Failures(
+        root,
+        root / "out",
+        kinds=KINDS_HERE,
+        policies=ROWS,
+        scenes=2,
+        seconds=5,
+        width=160,
+        workers=1,
+        samples=root / "samples",
+    )
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
             failures, "load_recordings", lambda source=None: load_recordings(source) if source else headline()
@@ -99,13 +109,22 @@ def test_a_fault_is_in_the_manifest_and_leaves_truth_and_other_cameras_alone(sui
 def test_the_matrix_is_what_the_report_reads(suite: Failures) -> None:
     found = json.loads((suite.out / "failures.json").read_text())
     assert found["data_version"] == headline().manifest.data_version
+    assert (found["track"], found["scenes"], found["privileged"]) == ("VISION", dict.fromkeys(KINDS_HERE, 2), [])
     assert set(found["matrix"]) == set(ROWS)
     for row in found["matrix"].values():
         assert list(row) == list(KINDS_HERE)
         assert all(isinstance(value, float) for value in row.values())
+    assert len({row["ordinary"] for row in found["matrix"].values()}) == len(ROWS)  # JOINT by its own columns
     text = (suite.out / "failures.md").read_text()
     assert all(f"{kind}, 2 scenes" in text for kind in KINDS_HERE)
     assert (suite.out / "failures.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_a_few_scenes_go_beside_the_tests(suite: Failures) -> None:
+    whole = load_recordings(str(suite.folder("ordinary") / "recordings"))
+    sample = load_recordings(str(suite.samples / "ordinary"))
+    assert [path.name for path in suite.samples.iterdir()] == ["ordinary"]
+    assert sample.scenes == whole.scenes[:2]
 
 
 def test_a_second_run_changes_nothing(suite: Failures) -> None:
@@ -116,15 +135,15 @@ def test_a_second_run_changes_nothing(suite: Failures) -> None:
 
 def test_rows_are_compared_with_the_references_and_corrected_together(suite: Failures) -> None:
     recordings = load_recordings(str(suite.folder("black") / "recordings"))
-    policies = [Single(name) for name in recordings.manifest.cameras]
-    for policy in policies:
+    policies = {name: Single(name) for name in recordings.manifest.cameras}
+    for policy in policies.values():
         policy.start(recordings.voters("VISION"))
     scored = score(policies, recordings)
     assert {pair[1] for pair in scored.compared} <= set(REFERENCES)
     assert len(scored.compared) == len(recordings.manifest.cameras) - 1
     assert all(scored.p_holm[pair] >= found.p_value for pair, found in scored.compared.items())
     assert scored.ratio(scored.best_camera[0]) == 1.0
-    assert min(scored.ratio(policy.name) for policy in policies) == 1.0
+    assert min(scored.ratio(name) for name in policies) == 1.0
 
 
 def test_a_suite_of_other_experts_is_one_line(suite: Failures) -> None:

@@ -224,15 +224,19 @@ def test_a_page_as_full_as_can_be_answers_within_two_seconds(page: Page, results
 
 @pytest.mark.browser
 def test_the_failure_matrix_is_a_table(page: Page, results: Path, tmp_path: Path) -> None:
-    failures = {"matrix": {"LINEAR": {"frozen": 1.5}, "HUBER": {"black": 2.0}}}
+    matrix = {"LINEAR": {"side_queue": 1.5}, "HUBER": {"black": 2.0, "side_queue": 1.25}, "ORACLE": {"black": 1.0}}
+    failures = {"data_version": "drawn-1", "track": "VISION", "scenes": {"side_queue": 16, "black": 16}}
+    failures |= {"privileged": ["ORACLE"], "matrix": matrix}
     file = tmp_path / "failures.html"
     file.write_text(make_page(replace(read_results(results), failures=failures)), encoding="utf-8")
     open_file(page, file)
     assert page.locator("#failures tr").all_inner_texts() == [
-        "Row\tfrozen\tblack",
+        "Row\tside queue\tblack",
         "LINEAR\t1.5000\t-",
-        "HUBER\t-\t2.0000",
+        "HUBER\t1.2500 ●\t2.0000 ●",
+        "ORACLE †\t-\t1.0000",
     ]
+    assert "track VISION, 16 scenes" in page.locator("#failures p").inner_text()
 
 
 @pytest.mark.browser

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 from mixo_env.errors import ResultsError
 
 AGAIN = "run `mixo benchmark` again"
+
+FAILURES_FILE = "failures.json"
+"""Errors of the rows in the failure suite; what comes with the package is of the bundled recordings."""
 
 
 @dataclass(frozen=True)
@@ -17,7 +21,8 @@ class Results:
 
     Attributes:
         leaderboard, configuration, drives: of ``leaderboard.json``, ``configuration.json`` and ``drives.json``.
-        failures: of ``failures.json``, of the failure suite: ``data_version``, and ``matrix``, row -> fault -> number;
+        failures: of ``failures.json``, of the failure suite: ``data_version`` of what its rows were fitted on,
+            ``track``, ``scenes`` of every kind, ``privileged`` rows, and ``matrix``, row -> kind -> RTE [deg/m];
             ``None`` where it was not recorded.
     """
 
@@ -38,13 +43,19 @@ def read_results(folder: Path) -> Results:
         _read(folder / "leaderboard.json"),
         _read(folder / "configuration.json"),
         _read(folder / "drives.json"),
-        _read(folder / "failures.json") if (folder / "failures.json").exists() else None,
+        _read(folder / FAILURES_FILE) if (folder / FAILURES_FILE).exists() else None,
     )
     try:
         _check(folder, found)
     except (KeyError, TypeError, AttributeError, StopIteration) as error:
         raise ResultsError(f"{folder}: expected results of this version of mixo ({error!r}): {AGAIN}") from None
     return found
+
+
+def shipped_failures(data_version: str) -> dict[str, Any] | None:
+    """The failure suite as it comes with the package, if its rows were fitted on recordings of this version."""
+    found = _read(Path(str(files("mixo_env.leaderboard") / FAILURES_FILE)))
+    return found if found["data_version"] == data_version else None
 
 
 def _read(path: Path) -> dict[str, Any]:
@@ -60,7 +71,7 @@ def _read(path: Path) -> dict[str, Any]:
 
 def _check(folder: Path, results: Results) -> None:
     board, configuration = results.leaderboard, results.configuration
-    for name, other in (("configuration.json", configuration), ("failures.json", results.failures)):
+    for name, other in (("configuration.json", configuration), (FAILURES_FILE, results.failures)):
         if other is not None and other.get("data_version", board["data_version"]) != board["data_version"]:
             raise ResultsError(
                 f"{folder}: leaderboard.json is of data version {board['data_version']}, {name} of "
@@ -73,7 +84,7 @@ def _check(folder: Path, results: Results) -> None:
             f"{min(differ)} first): {AGAIN}"
         )
     if results.failures is not None and not all(isinstance(row, dict) for row in results.failures["matrix"].values()):
-        raise ResultsError(f"{folder}/failures.json: expected a matrix, row -> fault -> number: record it anew")
+        raise ResultsError(f"{folder}/{FAILURES_FILE}: expected a matrix, row -> kind -> number: record it anew")
     if not any(table["rows"] or table["one_fold_rows"] for table in board["tracks"].values()):
         raise ResultsError(f"{folder}: expected at least one scored policy, found none: ask for one with --policies")
     for part in (board, board["night"]):

@@ -154,16 +154,25 @@ function drawFailures() {
     place.replaceChildren(element("p", "Not recorded in this folder of results."));
     return;
   }
-  const rows = Object.entries(failures.matrix); // row -> fault -> number
-  const names = [...new Set(rows.flatMap(([, values]) => Object.keys(values)))];
+  const privileged = new Set(failures.privileged);
+  const rows = Object.entries(failures.matrix); // row -> kind -> RTE
+  const kinds = [...new Set(rows.flatMap(([, values]) => Object.keys(values)))];
+  const least = (kind) =>
+    Math.min(...rows.filter(([row]) => !privileged.has(row)).map(([, values]) => values[kind] ?? Infinity));
+  const best = Object.fromEntries(kinds.map((kind) => [kind, least(kind)]));
+  const cell = (kind) => ([, values]) => fixed(values[kind], 4) + (values[kind] <= best[kind] ? " ●" : "");
   const head = element("thead");
   const line = element("tr");
-  for (const name of ["Row", ...names]) line.append(element("th", name, { scope: "col" }));
+  for (const name of ["Row", ...kinds]) line.append(element("th", name.replaceAll("_", " "), { scope: "col" }));
   head.append(line);
-  const columns = [{ text: ([row]) => row }, ...names.map((name) => ({ text: ([, values]) => fixed(values[name], 4) }))];
+  const names = { text: ([row]) => row + (privileged.has(row) ? " †" : "") };
   const table = element("table");
-  table.append(head, body(rows, columns));
-  place.replaceChildren(table);
+  table.append(head, body(rows, [names, ...kinds.map((kind) => ({ text: cell(kind) }))]));
+  const scenes = [...new Set(Object.values(failures.scenes))].join(" or ");
+  const told =
+    `RTE in deg/m by exact truth, track ${failures.track}, ${scenes} scenes of as many drives in every column. ` +
+    `Rows were fitted on ${failures.data_version}, on none of these. † reads the truth. ● least of the others in its column.`;
+  place.replaceChildren(element("p", told, { class: "small" }), table);
 }
 
 function drawMade() {
