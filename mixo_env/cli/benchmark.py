@@ -62,7 +62,7 @@ class Benchmark:
     """Write paper.md as well: the paper's tables beside its printed numbers, and its figures (paper-*.png)."""
 
     workers: int | None = None
-    """Processes; no number depends on it. Each holds the recordings: some 0.8 GB for the bundled ones. None: one a
+    """Processes; no number depends on it. Each holds the recordings: some 0.55 GB for the bundled ones. None: one a
     core, at most 4, and no more than a tenth of the rows."""
 
     out: Path | None = None

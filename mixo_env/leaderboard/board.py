@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
 
 from mixo_env.errors import ConfigurationError, PolicyError, unknown
 from mixo_env.leaderboard.comparisons import Comparisons
-from mixo_env.leaderboard.computing import Contest, Place, compute
+from mixo_env.leaderboard.computing import Contest, Place, compute, usual_workers
 from mixo_env.leaderboard.conditions import Group, groups_of
 from mixo_env.leaderboard.crossvalidation import USUAL, CrossValidation, Trial
 from mixo_env.leaderboard.evaluation import FLOORS, Truth
@@ -118,7 +119,8 @@ def build(
         trial: seeds, clock and policies from outside.
         folds: score scenes of these only; empty: all.
         night: score also those in no fold, unless ``folds`` says which.
-        workers: processes; the result does not depend on it. ``None``: as many as pay.
+        workers: processes for the rows, then threads for the comparisons; the result does not depend on it. ``None``:
+            as many as pay.
         progress: told how many rows are done, and of how many.
 
     Raises:
@@ -138,17 +140,21 @@ def build(
         for track in shown
         for name in shown_in(recordings, track, names)
     ]
+    workers = usual_workers(len(places)) if workers is None else workers
     found = compute(contests, places, workers, progress)
 
+    def standings(table: tuple[int, str]) -> Standings:
+        k, track = table
+        rows = {place.name: found[place] for place in places if (place.night, place.track) == (bool(k), track)}
+        return _standings(contests[k], track, rows)
+
+    tables = [(k, track) for k in range(len(contests)) for track in shown]
+    with ThreadPoolExecutor(workers) as pool:  # resampling is arithmetic of arrays, which threads share well
+        done = dict(zip(tables, pool.map(standings, tables), strict=True))
+
     def board(k: int, other: Leaderboard | None = None) -> Leaderboard:
-        contest = contests[k]
-        standings = tuple(
-            _standings(
-                contest, track, {at.name: found[at] for at in places if (at.night, at.track) == (bool(k), track)}
-            )
-            for track in shown
-        )
-        return Leaderboard(standings, asked[k], contest.protocol, contest.truths, contest.floor, other)
+        of, at = contests[k], tuple(done[k, track] for track in shown)
+        return Leaderboard(at, asked[k], of.protocol, of.truths, of.floor, other)
 
     return board(0, board(1) if len(contests) > 1 else None)
 

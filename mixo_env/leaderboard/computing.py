@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -20,10 +21,10 @@ from mixo_env.leaderboard.rows import Row, Scorer
 from mixo_env.recordings.processes import KILLED, Killed, each
 
 MOST_WORKERS = 4
-"""Each holds the recordings, twice, and what is learned from: 0.8 GB with the bundled ones."""
+"""Each holds the recordings and what is learned from: 0.55 GB with the bundled ones."""
 
 ROWS_A_WORKER = 10
-"""A process takes some 4 s to start, and a bundled row less than one: fewer do not pay."""
+"""A process takes some 4 s to start, and a bundled row about half of one: fewer do not pay."""
 
 
 @dataclass(frozen=True)
@@ -97,21 +98,20 @@ def usual_workers(rows: int) -> int:
 
 
 def compute(
-    contests: Sequence[Contest], places: Sequence[Place], workers: int | None, progress: Callable[[int, int], None]
+    contests: Sequence[Contest], places: Sequence[Place], workers: int, progress: Callable[[int, int], None]
 ) -> dict[Place, Row | PolicyError]:
     """Every row, or why there is none.
 
     Args:
         contests: by day, and by night where there is one.
         places: of the rows.
-        workers: processes; ``None``: :func:`usual_workers`.
+        workers: processes; 1 stays in this one.
         progress: told how many rows are done, and of how many.
 
     Raises:
         PolicyError: when a policy asked for by name does not fit the recordings.
         ConfigurationError: for no workers, or when one was killed again and again.
     """
-    workers = usual_workers(len(places)) if workers is None else workers
     protocol = contests[0].protocol
     at_home = {place: workers == 1 or protocol.strange(place.name) for place in places}
     found: dict[Place, Row | PolicyError] = {}
@@ -126,7 +126,8 @@ def compute(
     abroad = [place for place, here in at_home.items() if not here]
     if not abroad:
         return found
-    with TemporaryDirectory(prefix="mixo-") as folder:
+    with TemporaryDirectory(prefix="mixo-") as folder, warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "A worker stopped while some jobs")  # it grew much, and another goes on
         given = Path(folder) / "contests"
         write_bytes(given, pickle.dumps(tuple(contests), pickle.HIGHEST_PROTOCOL))
         slow_first = sorted(abroad, key=lambda place: (not protocol.slow(place.name), not protocol.learns(place.name)))
@@ -148,6 +149,8 @@ def _row(given: Path, place: Place) -> Row | PolicyError:
 @lru_cache(maxsize=1)
 def _contests(given: Path) -> tuple[Contest, ...]:
     """Opened once in every worker; written by its own parent."""
+    import torch  # noqa: F401  # imported by a later row, it would look like a leak to joblib, which ends such a worker
+
     return pickle.loads(given.read_bytes())
 
 

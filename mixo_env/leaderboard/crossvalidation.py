@@ -33,7 +33,7 @@ GroundTruth = Literal["poses", "keyframes"]
 """One step from image to image, or from key frame to key frame (2 Hz) as in the paper."""
 
 NOT_FITTED = (
-    "slow to fit, and no weights are of these recordings: name it in --policies, or fit it with `mixo train` and give "
+    "slow to fit, and no weights at hand are of this run: name it in --policies, or fit it with `mixo train` and give "
     "--weights"
 )
 """Why an agent has no row where nobody asked for it."""
