@@ -22,8 +22,10 @@ from mixo_env.policies.registry import POLICIES, create, names
 from mixo_env.policies.reinforcement import AGENTS
 from mixo_env.policies.single import Single
 from mixo_env.recordings.collection import Recordings
+from mixo_env.recordings.pose_lag import lag_corrected
 from mixo_env.recordings.schema import VehicleConstants
 from mixo_env.recordings.substitutes import substituted_increments
+from mixo_env.recordings.vehicles import with_training_constants
 from tests.synthetic import synthetic_recordings
 
 ELSEWHERE = synthetic_recordings(9)
@@ -209,7 +211,7 @@ def test_with_one_fold_learned_policies_come_from_the_bundled_recordings(recordi
     assert protocol.foreign
     assert run.tested.all()
     expected = create("LINEAR", bundled)
-    prepare(expected, bundled, "PAPER")
+    prepare(expected, lag_corrected(with_training_constants(bundled, range(4))), "PAPER")
     (policy,) = run.policies.values()
     np.testing.assert_array_equal(policy.weights, expected.weights)
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Literal
@@ -37,7 +36,8 @@ class Benchmark:
     VISION stands for them."""
 
     policies: tuple[str, ...] = ()
-    """Rows to run; case, hyphens and underscores do not matter. Empty: all."""
+    """Rows to run; case, hyphens and underscores do not matter. Empty: all that fit these recordings, but
+    those trained by reinforcement (PPO, A2C, SAC, TD3, DQN) only where weights are at hand: fits take long."""
 
     seed: int = 0
     """Of everything random: same seed, same machine, same numbers."""
@@ -50,7 +50,7 @@ class Benchmark:
 
     weights: Path | None = None
     """Folder written by `mixo train`: what it holds for just these recordings is not fitted again (`-v` names it).
-    None: weights that come with the package; with an empty folder all is fitted."""
+    None: weights that come with the package; with an empty folder all is fitted, agents if named."""
 
     by: tuple[Literal["condition", "situation"], ...] = ()
     """Show tables by condition or by staged situation as well (leaderboard.json always holds them)."""
@@ -60,6 +60,10 @@ class Benchmark:
 
     paper: bool = False
     """Write paper.md as well: the paper's tables beside its printed numbers, and its figures (paper-*.png)."""
+
+    workers: int | None = None
+    """Processes; no number depends on it. Each holds the recordings: some 0.55 GB for the bundled ones. None: one a
+    core, at most 4, and no more than a tenth of the rows."""
 
     out: Path | None = None
     """Folder for the results. None: results/benchmark-<date>-<time>, and results/latest points there."""
@@ -85,21 +89,18 @@ class Benchmark:
         from mixo_env.recordings.store import load_recordings
 
         recordings = load_recordings(None if self.recordings is None else str(self.recordings))
-        rows = requested(recordings, self.tracks, self.policies)
+        requested(recordings, self.tracks, self.policies)  # raises before there is a folder
         for by in self.by:
             check_grouping(recordings, by)
         folder = run_folder("benchmark", self.out)
-        tables = len(self.tracks or recordings.distinct_tracks) * len(
-            {scene.fold < 0 for scene in recordings.scenes}
-        )  # the night has its own
-        begun = itertools.count()
         with progress("computing rows") as report:
             board = build(
                 recordings,
                 tracks=self.tracks,
                 policies=self.policies,
                 trial=Trial(self.seed, self.seeds, self.ground_truth, weights=self.weights or shipped()),
-                progress=lambda _: report(next(begun), tables * len(rows)),
+                workers=self.workers,
+                progress=report,
             )
         write_json(folder / "configuration.json", self._resolved(board, recordings))
         write_text(folder / "leaderboard.md", to_markdown(board, sort=self.sort, by=self.by))

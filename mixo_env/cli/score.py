@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Annotated, Any, ClassVar
@@ -56,10 +55,10 @@ class Score:
         from mixo_env.cli.progress import progress
         from mixo_env.files import writable_folder, write_json
         from mixo_env.leaderboard.report import print_leaderboard
-        from mixo_env.leaderboard.stranger import BESIDE, Options, score
+        from mixo_env.leaderboard.stranger import Options, score
 
         folder = self.out and writable_folder(self.out)
-        reading, begun = self.how.reading(), itertools.count()
+        reading = self.how.reading()
         with progress("computing rows") as report:
             scored = score(
                 self.policy,
@@ -68,7 +67,7 @@ class Score:
                 folds=self.folds,
                 fitted_on=self.how.declared(),
                 options=Options(reading.asking, reading.network, reading.policy_class, self.seed, self.seeds),
-                progress=lambda _: report(next(begun), len(BESIDE) + 1),
+                progress=report,
             )
         print_leaderboard(scored.board)
         for line in scored.difference_lines():

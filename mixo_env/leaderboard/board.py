@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
 
 from mixo_env.errors import ConfigurationError, PolicyError, unknown
 from mixo_env.leaderboard.comparisons import Comparisons
+from mixo_env.leaderboard.computing import Contest, Place, compute, usual_workers
 from mixo_env.leaderboard.conditions import Group, groups_of
-from mixo_env.leaderboard.crossvalidation import USUAL, CrossValidation, Run, Trial
-from mixo_env.leaderboard.evaluation import FLOORS, Truth, noisy_truth
-from mixo_env.leaderboard.noise import NOISE_FLOOR
-from mixo_env.leaderboard.rows import Row, Scorer
+from mixo_env.leaderboard.crossvalidation import USUAL, CrossValidation, Trial
+from mixo_env.leaderboard.evaluation import FLOORS, Truth
+from mixo_env.leaderboard.rows import Row
 from mixo_env.policies.linear import Linear
 from mixo_env.policies.registry import POLICIES
 from mixo_env.policies.registry import names as policy_names
@@ -37,7 +38,7 @@ class Standings:
         one_fold_rows: those policies and all other learned ones, scored on that fold alone.
         one_fold_comparisons: of those, paired.
         groups: the rows by condition and by situation.
-        left_out: policies that do not fit these recordings -> why.
+        left_out: policies that do not fit these recordings, or were too slow to fit unasked -> why.
     """
 
     track: str
@@ -105,34 +106,57 @@ def build(
     trial: Trial = USUAL,
     folds: Sequence[int] = (),
     night: bool = True,
-    progress: Callable[[str], None] = lambda _: None,
+    workers: int | None = 1,
+    progress: Callable[[int, int], None] = lambda *_: None,
 ) -> Leaderboard:
     """Run and score policies on every track.
 
     Args:
         recordings: scenes to score; their folds divide training from test.
         tracks: to run; empty: all that differ on these recordings.
-        policies: names of policies and floors, however they are spelt (case, hyphens); empty: all.
+        policies: names of policies and floors, however they are spelt (case, hyphens); empty: all but those that do
+            not fit the recordings, or would be slow to fit.
         trial: seeds, clock and policies from outside.
         folds: score scenes of these only; empty: all.
         night: score also those in no fold, unless ``folds`` says which.
-        progress: told what is about to run.
+        workers: processes for the rows, then threads for the comparisons; the result does not depend on it. ``None``:
+            as many as pay.
+        progress: told how many rows are done, and of how many.
 
     Raises:
-        ConfigurationError: for an unknown track, policy or fold.
+        ConfigurationError: for an unknown track, policy or fold, or no workers.
         PolicyError: when a policy asked for by name does not fit the recordings.
     """
     chosen, everything = requested(recordings, tracks, policies, tuple(trial.outside)), not policies
-    protocol = CrossValidation(recordings, trial, tested_folds=folds)
-    day = Builder(protocol, progress, everything)
-    dark = None
+    day = Contest(CrossValidation(recordings, trial, tested_folds=folds), everything)
+    contests, protocol = [day], day.protocol
     if protocol.folds and night and not folds and any(scene.fold == OUT_OF_DISTRIBUTION for scene in recordings.scenes):
-        nights = CrossValidation(recordings, trial, out_of_distribution=True)
-        quick = [name for name in chosen if not protocol.expensive(name)]
-        dark = Builder(nights, lambda text: progress(f"night, {text}"), everything).board(
-            tracks or recordings.distinct_tracks, quick
-        )
-    return day.board(tracks or recordings.distinct_tracks, chosen, dark)
+        contests.append(Contest(CrossValidation(recordings, trial, out_of_distribution=True), everything))
+    asked = [tuple(name for name in chosen if contest.shows(name)) for contest in contests]
+    shown = tracks or recordings.distinct_tracks
+    places = [
+        Place(bool(k), track, name)
+        for k, names in enumerate(asked)
+        for track in shown
+        for name in shown_in(recordings, track, names)
+    ]
+    workers = usual_workers(len(places)) if workers is None else workers
+    found = compute(contests, places, workers, progress)
+
+    def standings(table: tuple[int, str]) -> Standings:
+        k, track = table
+        rows = {place.name: found[place] for place in places if (place.night, place.track) == (bool(k), track)}
+        return _standings(contests[k], track, rows)
+
+    tables = [(k, track) for k in range(len(contests)) for track in shown]
+    with ThreadPoolExecutor(workers) as pool:  # resampling is arithmetic of arrays, which threads share well
+        done = dict(zip(tables, pool.map(standings, tables), strict=True))
+
+    def board(k: int, other: Leaderboard | None = None) -> Leaderboard:
+        of, at = contests[k], tuple(done[k, track] for track in shown)
+        return Leaderboard(at, asked[k], of.protocol, of.truths, of.floor, other)
+
+    return board(0, board(1) if len(contests) > 1 else None)
 
 
 def requested(
@@ -184,67 +208,26 @@ def choose(asked: Sequence[str], valid: Sequence[str]) -> tuple[str, ...]:
     return tuple(name for name in valid if name in wanted)
 
 
-class Builder:
-    """Builds the standings of one protocol.
-
-    Args:
-        protocol: scenes, folds, seeds.
-        progress: told what is about to run.
-        lenient: leave out a policy that does not fit the recordings instead of raising.
-    """
-
-    def __init__(self, protocol: CrossValidation, progress: Callable[[str], None], lenient: bool) -> None:
-        """Prepare the truths."""
-        self._protocol, self._progress, self._lenient = protocol, progress, lenient
-        self._truths = {truth: Truth(protocol.recordings, truth) for truth in protocol.truths}
-        headline = protocol.truths[0]
-        self._floor = 0.0
-        self._noisy = headline != "exact" and "INERTIAL" in protocol.recordings.manifest.inertial
-        if self._noisy:
-            noisy = self._truths[headline].measure(noisy_truth(protocol.recordings))
-            samples = noisy.relative.rotation_deg_per_m
-            self._floor = float(samples.mean()) if len(samples) else 0.0
-        self._scorer = Scorer(protocol.recordings, self._truths, self._floor, protocol.trial.seed)
-
-    def board(
-        self, tracks: Sequence[str] | Mapping[str, object], chosen: Sequence[str], night: Leaderboard | None = None
-    ) -> Leaderboard:
-        """Standings for every track."""
-        shown = tuple(name for name in chosen if name != NOISE_FLOOR or self._noisy)
-        standings = tuple(self._standings(track, shown) for track in tracks)
-        return Leaderboard(standings, shown, self._protocol, self._truths, self._floor, night)
-
-    def _standings(self, track: str, chosen: Sequence[str]) -> Standings:
-        """Rows tested everywhere, and apart from them those tested on one fold, beside the other learned ones."""
-        runs: list[Run] = []
-        left_out: dict[str, str] = {}
-        for name in shown_in(self._protocol.recordings, track, chosen):
-            self._progress(f"{track}: {name}")
-            try:
-                folds = self._protocol.tested_folds[-1:] if self._protocol.expensive(name) else None
-                runs.append(self._protocol.run(name, track, folds=folds))
-            except PolicyError as error:
-                if not self._lenient:
-                    raise
-                left_out[name] = str(error)
-        rows = [self._scorer.row(track, run) for run in runs]
-        whole = tuple(row for row in rows if row.run.tested.all())
-        one_fold, part = None, ()
-        if len(whole) < len(rows):
-            one_fold = self._protocol.tested_folds[-1]
-            scenes = np.array([scene.fold == one_fold for scene in self._protocol.recordings.scenes])
-            learned = [self._scorer.restrict(row, scenes) for row in rows if row.run.learns]
-            part = tuple(self._scorer.detailed(track, row) for row in learned)
-        recordings = self._protocol.recordings
-        return Standings(
-            track=track,
-            rows=whole,
-            comparisons=self._scorer.compare(whole),
-            one_fold=one_fold,
-            one_fold_rows=part,
-            one_fold_comparisons=self._scorer.compare(part),
-            groups=tuple(
-                group for by in ("condition", "situation") for group in groups_of(whole, recordings, by, self._scorer)
-            ),
-            left_out=left_out,
-        )
+def _standings(contest: Contest, track: str, found: Mapping[str, Row | PolicyError]) -> Standings:
+    """Rows tested everywhere, and apart from them those tested on one fold, beside the other learned ones."""
+    protocol, scorer = contest.protocol, contest.scorer
+    rows = [row for row in found.values() if isinstance(row, Row)]
+    whole = tuple(row for row in rows if row.run.tested.all())
+    one_fold, part = None, ()
+    if len(whole) < len(rows):
+        one_fold = protocol.tested_folds[-1]
+        scenes = np.array([scene.fold == one_fold for scene in protocol.recordings.scenes])
+        learned = [scorer.restrict(row, scenes) for row in rows if row.run.learns]
+        part = tuple(scorer.detailed(track, row) for row in learned)
+    return Standings(
+        track=track,
+        rows=whole,
+        comparisons=scorer.compare(whole),
+        one_fold=one_fold,
+        one_fold_rows=part,
+        one_fold_comparisons=scorer.compare(part),
+        groups=tuple(
+            group for by in ("condition", "situation") for group in groups_of(whole, protocol.recordings, by, scorer)
+        ),
+        left_out={name: str(row) for name, row in found.items() if isinstance(row, PolicyError)},
+    )

@@ -3,20 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from mixo_env.errors import ConfigurationError, PolicyError, unknown
 from mixo_env.leaderboard.evaluation import FLOORS, Travel, rollout, with_wheels
-from mixo_env.leaderboard.weights import UNFOLDED, fit_or_take, part
+from mixo_env.leaderboard.weights import UNFOLDED, fit_or_take, holds, part
 from mixo_env.policies.fitting import drives, prepare
 from mixo_env.policies.outside import make_policy
 from mixo_env.policies.policy import Policy
-from mixo_env.policies.registry import create, kind
+from mixo_env.policies.registry import POLICIES, create, kind
+from mixo_env.policies.reinforcement import AGENTS
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.complete import check_complete
 from mixo_env.recordings.drives import drive_hash
@@ -25,11 +26,17 @@ from mixo_env.recordings.keyframes import at_keyframes
 from mixo_env.recordings.pose_lag import lag_corrected
 from mixo_env.recordings.store import load_recordings
 from mixo_env.recordings.truths import truths_of, with_truth
-from mixo_env.recordings.variants import as_variant
+from mixo_env.recordings.variants import as_variant, variants
 from mixo_env.recordings.vehicles import with_held_out_constants, with_training_constants
 
 GroundTruth = Literal["poses", "keyframes"]
 """One step from image to image, or from key frame to key frame (2 Hz) as in the paper."""
+
+NOT_FITTED = (
+    "slow to fit, and no weights at hand are of this run: name it in --policies, or fit it with `mixo train` and give "
+    "--weights"
+)
+"""Why an agent has no row where nobody asked for it."""
 
 
 @dataclass(frozen=True)
@@ -107,6 +114,7 @@ class CrossValidation:
             true poses without the lag among those constants.
         folds: those present.
         tested_folds: those of them that are scored.
+        out_of_distribution: the tested scenes are in no fold.
         left_out: number of scenes that are not scored.
         foreign: learned policies are fitted on the bundled recordings.
         truths: those of the recordings, the headline first.
@@ -139,18 +147,27 @@ class CrossValidation:
         self.foreign = len(self.folds) < 2
         self.trial = trial
         self._inside = recordings.select(folds=self.folds) if self.folds else recordings
-        self._outside = out_of_distribution
+        self.out_of_distribution = out_of_distribution
         tested = recordings.select(folds=[OUT_OF_DISTRIBUTION]) if out_of_distribution else self._inside
         if tested_folds:
             tested = self._inside.select(folds=self.tested_folds)
         self._tested = tested
         # Constants of what is tested come from other folds, so all folds take part before the tested are taken out.
-        prepared = self._at_clock(with_held_out_constants(recordings if out_of_distribution else self._inside))
+        prepared = self._at_clock(self._with_constants(recordings))
         self.recordings = prepared.select(scenes=[scene.name for scene in tested.scenes])
         self.left_out = len(recordings) - len(tested)
         self.truths = truths_of(self.recordings)
         self._bundled = bundled
         self._training: dict[int, Recordings] = {}
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Policies from outside stay in their process: what they hold may not be sent to another."""
+        return self.__dict__ | {"trial": replace(self.trial, outside={})}
+
+    def _with_constants(self, recordings: Recordings) -> Recordings:
+        if self.out_of_distribution and not self.foreign:  # what is tested is in no fold: one fit, on all of them
+            return with_training_constants(recordings, self.folds)
+        return with_held_out_constants(recordings if self.out_of_distribution else self._inside)
 
     def training(self, fold: int) -> Recordings:
         """The scenes a learned policy is fitted on before it is tested on ``fold``.
@@ -168,7 +185,7 @@ class CrossValidation:
             if self.foreign:
                 training = self._foreign_scenes()
             else:
-                others = [other for other in self.folds if self._outside or other != fold]
+                others = [other for other in self.folds if self.out_of_distribution or other != fold]
                 training = with_training_constants(self._inside.select(folds=others), others)
             self._training[fold] = self._at_clock(training)
         return self._training[fold]
@@ -179,6 +196,22 @@ class CrossValidation:
             return name not in FLOORS and bool(self._kind(name).expensive)
         except PolicyError:
             return False
+
+    def slow(self, name: str) -> bool:
+        """Whether a row takes far longer to fit than all others: an agent trained by reinforcement, or expensive."""
+        return self.expensive(name) or name in AGENTS
+
+    def learns(self, name: str) -> bool:
+        """Whether a row is fitted; one that cannot be imported is not."""
+        try:
+            return name not in FLOORS and bool(self._kind(name).learns)
+        except PolicyError:
+            return False
+
+    def strange(self, name: str) -> bool:
+        """Whether a row is no policy of this package, but from outside or a plug-in."""
+        ours = (*FLOORS, *POLICIES, *variants(self.recordings), *self.recordings.experts)
+        return name in self.trial.outside or name not in ours
 
     def _kind(self, name: str) -> type[Policy] | Policy:
         outside = self.trial.outside
@@ -217,14 +250,10 @@ class CrossValidation:
 
     def _run_learned(self, name: str, track: str, folds: Sequence[int] | None, privileged: bool) -> Run:
         """Freshly fitted policies per fold, each tested on the scenes it has not seen."""
-        if self.foreign and not self._bundled_experts(track):
-            raise PolicyError(
-                f"{name} learns, and needs drives that are not tested: these recordings have fewer than two folds, and "
-                "no bundled recording has their experts"
-            )
+        self._check_trainable(name, track)
         entries = self.recordings.scenes
-        whole = self.foreign or self._outside
-        tested_folds = (UNFOLDED,) if whole else self.tested_folds if folds is None else tuple(folds)
+        whole = self.foreign or self.out_of_distribution
+        tested_folds = self._held_out(folds)
         tested = np.array([whole or scene.fold in tested_folds for scene in entries])
         scene_of_row = np.repeat(np.arange(len(entries)), np.diff(self.recordings.offsets))
         increments = {truth: np.zeros((self.trial.seeds, self.recordings.offsets[-1])) for truth in self.truths}
@@ -242,6 +271,32 @@ class CrossValidation:
             for truth, values in increments.items()
         }
         return Run(name, privileged, True, travels, tested, policies)
+
+    def _held_out(self, folds: Sequence[int] | None) -> tuple[int, ...]:
+        """The folds for each of which a learned policy is fitted, if ``folds`` are to be tested."""
+        whole = self.foreign or self.out_of_distribution
+        return (UNFOLDED,) if whole else self.tested_folds if folds is None else tuple(folds)
+
+    def _check_trainable(self, name: str, track: str) -> None:
+        if self.foreign and not self._bundled_experts(track):
+            raise PolicyError(
+                f"{name} learns, and needs drives that are not tested: these recordings have fewer than two folds, and "
+                "no bundled recording has their experts"
+            )
+
+    def check_fitted(self, name: str, track: str, folds: Sequence[int] | None) -> None:
+        """Look whether :meth:`run` would take all weights of a row that learns and fit none.
+
+        Raises:
+            PolicyError: when it would not, or there is nothing to learn from.
+        """
+        self._check_trainable(name, track)
+        weights = None if name in self.trial.outside else self.trial.weights
+        for fold in self._held_out(folds):
+            for k in range(self.trial.seeds):
+                policy, training, seed = self._create(name), self.training(fold), self._seed_of(fold, k)
+                if weights is None or not holds(weights / part(name, track, fold, k), policy, training, track, seed):
+                    raise PolicyError(NOT_FITTED)
 
     def fitted(self, name: str, track: str, fold: int, repetition: int, *, keep: bool = False) -> Policy:
         """A row fitted without ``fold``, or taken from the folder of weights where it holds just that.
@@ -311,7 +366,8 @@ class CrossValidation:
         ]
         if not names:
             raise PolicyError("expected training scenes that are not tested, found none: give recordings with 2 folds")
-        return bundled.select(scenes=names)
+        chosen = bundled.select(scenes=names)
+        return with_training_constants(chosen, {scene.fold for scene in chosen.scenes})
 
     def _at_clock(self, recordings: Recordings) -> Recordings:
         """Recordings as policies and scores see them: poses without their lag, at the chosen clock."""

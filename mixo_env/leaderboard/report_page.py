@@ -13,6 +13,7 @@ from typing import Any
 from mixo_env.files import write_text
 from mixo_env.leaderboard.answers import answers, command
 from mixo_env.leaderboard.results import Results, read_results
+from mixo_env.leaderboard.sentences import left_out_lines
 
 PAGE = "report.html"
 PARTS = ("table.js", "charts.js", "drives.js")
@@ -101,7 +102,7 @@ def _data(results: Results) -> dict[str, Any]:
                         else []
                     ),
                 ],
-                "left_out": table["left_out"],
+                "left_out": left_out_lines(table["left_out"]),
             }
             for name, table in board["tracks"].items()
         },

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import numpy as np
 
 from mixo_env.experts.families import is_family_expert
@@ -197,8 +199,13 @@ def notes(standings: Standings) -> list[str]:
         lines.append(
             f"LINEAR weights{', mean over folds' if len(weights) > 1 else ''}: {parts}; sum {sum(mean.values()):.3f}."
         )
-    lines += [f"{name} left out: {why}." for name, why in standings.left_out.items()]
-    return lines
+    return lines + left_out_lines(standings.left_out)
+
+
+def left_out_lines(left_out: Mapping[str, str]) -> list[str]:
+    """Why rows are missing: a line a reason."""
+    rows = {why: [name for name in left_out if left_out[name] == why] for why in left_out.values()}
+    return [f"{', '.join(names)} left out: {why}." for why, names in rows.items()]
 
 
 def comparison_lines(comparisons: Comparisons) -> list[str]:

@@ -92,7 +92,7 @@ def score(
     folds: Sequence[int] = (),
     fitted_on: Recordings | Iterable[str] | None = None,
     options: Options | None = None,
-    progress: Callable[[str], None] = lambda _: None,
+    progress: Callable[[int, int], None] = lambda *_: None,
 ) -> Scored:
     """Score a policy from outside beside CAM_FRONT, LINEAR, HUBER and MIXO, with paired differences.
 
@@ -110,7 +110,7 @@ def score(
         folds: score the scenes of these only; empty: all.
         fitted_on: where a frozen policy was trained: recordings, or what :func:`declared` takes.
         options: what is rarely said; ``None``: the defaults.
-        progress: told what is about to run.
+        progress: told how many rows are done, and of how many.
 
     Raises:
         ConfigurationError: for an unknown track, fold, or text that means nothing.

@@ -8,6 +8,7 @@ from __future__ import annotations
 import re
 import zipfile
 from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
@@ -177,9 +178,17 @@ def write_all(board: Leaderboard, path: Path) -> None:
     truth = board.truths[board.headline]
     everywhere = np.ones(len(board.recordings), np.bool_)
     texts: dict[bytes, list[tuple[str, str]]] = {}
-    with atomic_path(path) as part, zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive:
+    with (
+        atomic_path(path) as part,
+        zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive,
+        ThreadPoolExecutor(1) as pool,  # compresses one row while the next is put into words
+    ):
 
-        def add(folder: str, name: str, way: PlanarPoses, tested: np.ndarray) -> None:
+        def write(folder: str, found: Sequence[tuple[str, str]]) -> None:
+            for scene, text in found:
+                archive.writestr(zipfile.ZipInfo(f"{folder}/{scene}.txt"), text, zipfile.ZIP_DEFLATED, 1)
+
+        def add(folder: str, name: str, way: PlanarPoses, tested: np.ndarray) -> Future[None]:
             """One row; single experts and floors go the same way in several tracks."""
             key = way.x_m.tobytes() + way.yaw_rad.tobytes() + tested.tobytes()
             if key not in texts:
@@ -187,15 +196,15 @@ def write_all(board: Leaderboard, path: Path) -> None:
                     (one.scene, tum_text(one.trajectory, DECIMALS))
                     for one in _scenes(name, way, tested, board.recordings)
                 ]
-            for scene, text in texts[key]:
-                archive.writestr(
-                    zipfile.ZipInfo(f"{folder}{folder_name(name)}/{scene}.txt"), text, zipfile.ZIP_DEFLATED, 1
-                )
+            return pool.submit(write, folder + folder_name(name), texts[key])
 
-        add("", GROUNDTRUTH, truth.poses, everywhere)
+        written = [add("", GROUNDTRUTH, truth.poses, everywhere)]
         for standings in board.standings:
             for row in {row.name: row for row in (*standings.one_fold_rows, *standings.rows)}.values():
-                add(f"{standings.track}/", row.name, poses(row.run.travel, truth.poses, truth.offsets), row.run.tested)
+                way = poses(row.run.travel, truth.poses, truth.offsets)
+                written.append(add(f"{standings.track}/", row.name, way, row.run.tested))
+        for one in written:
+            one.result()  # raises what writing raised
 
 
 def folder_name(row: str) -> str:

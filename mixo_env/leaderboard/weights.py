@@ -102,23 +102,25 @@ def fit_or_take(policy: Policy, training: Recordings, track: str, seed: int, pie
         PolicyError: when a piece that should fit is damaged, or the fit fails.
         OutputError: when a piece cannot be written.
     """
-    found = _stamped(piece)
-    if found is None and not keep:  # a stamp costs time
-        prepare(policy, training, track, seed=seed)
-        return policy
-    expected = stamp(policy, training, track, seed)
-    if found == expected:
+    if holds(piece, policy, training, track, seed):
         taken = type(policy).load(piece)
         if taken.experts != policy.weighted(training.voters(track)) or taken.fitted_on != drives(training):
             raise PolicyError(f"{piece} does not hold what its {STAMP} says: delete it, and `mixo train` fits it anew")
         _LOG.info("%s: weights taken, not fitted", piece)
         return taken
+    expected = stamp(policy, training, track, seed) if keep else ""  # of the policy as it is before it is fitted
     prepare(policy, training, track, seed=seed)
     if keep:
         remove(piece / STAMP)  # or a kill between the two writes leaves a new file, an old stamp
         policy.save(piece)
         write_json(piece / STAMP, {"stamp": expected})
     return policy
+
+
+def holds(piece: Path, policy: Policy, training: Recordings, track: str, seed: int) -> bool:
+    """Whether a folder says that it holds what fitting would give; arguments as those of :func:`fit_or_take`."""
+    found = _stamped(piece)
+    return found is not None and found == stamp(policy, training, track, seed)  # a stamp costs time
 
 
 def _stamped(piece: Path) -> str | None:

@@ -18,8 +18,8 @@ EXACT_GROUPS = 24
 DRAWS = 1_000_000
 """Random patterns beyond: p-values of .001 are then known to 6 %."""
 
-_CHUNK = 1 << 14
-"""Patterns held in memory at once."""
+_CHUNK = 1 << 10
+"""Patterns held in memory at once: their sums stay in the cache of a core."""
 
 ROUNDING = 1e-12
 """Sums that differ by this share of the sum of all magnitudes are equal: the order of adding must not matter."""

@@ -177,8 +177,8 @@ function drawFailures() {
 
 function drawMade() {
   byId("conventions").replaceChildren(...DATA.conventions.map((line) => element("li", line)));
-  const left = Object.entries(DATA.tracks[shown.track].left_out).map(([name, why]) => `${name} left out: ${why}.`);
   byId("software").textContent =
-    Object.entries(DATA.software).map(([name, version]) => `${name} ${version}`).join(", ") + ". " + left.join(" ");
+    Object.entries(DATA.software).map(([name, version]) => `${name} ${version}`).join(", ") +
+    ". " + DATA.tracks[shown.track].left_out.join(" ");
   byId("hashes").textContent = Object.entries(DATA.hashes).map(([name, hash]) => `${name}  ${hash}`).join("\n");
 }
