@@ -82,8 +82,10 @@ class Benchmark:
         from mixo_env.leaderboard.exports import to_csv, to_json
         from mixo_env.leaderboard.figures import draw_trajectories
         from mixo_env.leaderboard.paper.pages import write_paper
+        from mixo_env.leaderboard.paper.parts import folder_of
         from mixo_env.leaderboard.report import print_leaderboard, to_markdown
         from mixo_env.leaderboard.report_page import write_report
+        from mixo_env.leaderboard.results import FAILURES_FILE, shipped_failures
         from mixo_env.leaderboard.trajectories import write_all
         from mixo_env.leaderboard.weights import shipped
         from mixo_env.recordings.store import load_recordings
@@ -110,8 +112,9 @@ class Benchmark:
         draw_trajectories(board, folder / "trajectories.png")
         write_all(board, folder / "trajectories.zip")
         if self.paper:
-            own = self.recordings if self.recordings and self.recordings.is_dir() else None
-            write_paper(board, recordings, folder, own)
+            write_paper(board, recordings, folder, folder_of(self.recordings))
+        if failures := shipped_failures(recordings.manifest.data_version):
+            write_json(folder / FAILURES_FILE, failures)
         page = write_report(folder)
         point_latest(folder)
         print_leaderboard(board, sort=self.sort, by=self.by)

@@ -58,7 +58,7 @@ def write_paper(board: Leaderboard, recordings: Recordings, results: Path, folde
         board: that was built of the recordings.
         recordings: as they were opened.
         results: folder to write into; figures of an earlier run there are removed first.
-        folder: of the recordings, for their timings; ``None``: bundled.
+        folder: of the recordings, for their timings; ``None``: none are known.
 
     Returns:
         The page.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,7 @@ from mixo_env.metrics.absolute import SceneAbsolute
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.presets import data_label
 from mixo_env.recordings.schema import UNEQUAL
-from mixo_env.recordings.store import TIMINGS_FILE, read_columns
+from mixo_env.recordings.store import DEFAULT_RECORDINGS, TIMINGS_FILE, bundled_recordings, read_columns
 from mixo_env.recordings.truths import with_truth
 from mixo_env.recordings.variants import variants
 
@@ -115,12 +116,18 @@ def subject_of(board: Leaderboard, recordings: Recordings, folder: Path | None) 
     Args:
         board: that was built of the recordings.
         recordings: as they were opened.
-        folder: they lie in; ``None``: bundled, which come without timings.
+        folder: they lie in, for their timings; ``None``: none are known.
     """
     by_track = {standings.track: standings for standings in board.standings}
     first = next((one for one in board.standings if one.track != UNEQUAL), board.standings[0])
     spent_ms = {} if folder is None else median_spent_ms(folder)
     return Subject(board, by_track.get(PAPER_TRACK, first), recordings, spent_ms)
+
+
+def folder_of(source: Path | None) -> Path:
+    """Where recordings lie that :func:`~mixo_env.recordings.store.load_recordings` opens."""
+    name = DEFAULT_RECORDINGS if source is None else str(source)
+    return Path(str(files("mixo_env.recordings") / "data" / name)) if name in bundled_recordings() else Path(name)
 
 
 def median_spent_ms(folder: Path) -> dict[str, float]:
