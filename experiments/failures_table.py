@@ -134,10 +134,8 @@ def write_tables(
             "data_version": headline.manifest.data_version,
             "track": TRACK,
             "scenes": {name: of.scenes for name, of in scored.items()},
-            "privileged": [policy.name for policy in policies if policy.privileged],
-            "matrix": {
-                policy.name: {name: of.errors[policy.name] for name, of in scored.items()} for policy in policies
-            },
+            "privileged": [row for row, policy in policies.items() if policy.privileged],
+            "matrix": {row: {name: of.errors[row] for name, of in scored.items()} for row in policies},
         },
     )
     write_text(out / "failures.md", markdown(scored, headline.manifest.data_version))
