@@ -43,6 +43,7 @@ class Scored:
         p_holm: (row, reference) -> corrected over all of this kind.
         best_camera: in hindsight, and its error.
         scenes: number of them.
+        privileged: rows that read the truth or the future.
     """
 
     errors: dict[str, float]
@@ -50,6 +51,11 @@ class Scored:
     p_holm: dict[tuple[str, str], float]
     best_camera: tuple[str, float]
     scenes: int
+    privileged: frozenset[str] = frozenset()
+
+    def marked(self, row: str) -> str:
+        """Name of a row, with the mark of privileged ones."""
+        return row + (" †" if row in self.privileged else "")
 
     def ratio(self, row: str) -> float:
         """Error of a row over that of the camera that was best in hindsight."""
@@ -106,7 +112,8 @@ def score(policies: Mapping[str, Policy], suite: Recordings) -> Scored:
     cameras = {name: errors[name] for name in scenes.manifest.cameras if name in errors}
     best = min(cameras, key=lambda name: cameras[name], default="")
     p_holm = holm({pair: found.p_value for pair, found in compared.items()})
-    return Scored(errors, compared, p_holm, (best, cameras.get(best, float("nan"))), len(scenes))
+    privileged = frozenset(name for name, policy in policies.items() if policy.privileged)
+    return Scored(errors, compared, p_holm, (best, cameras.get(best, float("nan"))), len(scenes), privileged)
 
 
 def write_tables(
@@ -145,17 +152,19 @@ def write_tables(
 
 def markdown(scored: Mapping[str, Scored], fitted_on: str) -> str:
     """Errors, ratios and paired differences."""
-    rows = list(next(iter(scored.values())).errors)
+    first = next(iter(scored.values()))
+    rows = list(first.errors)
     errors = Table(
-        f"RTE in deg/m by exact truth, track {TRACK}; rows were fitted on {fitted_on} only",
+        f"RTE in deg/m by exact truth, track {TRACK}; rows were fitted on {fitted_on} only; † reads the truth or the "
+        "future",
         (Column("policy"), *(Column(name, "deg/m", ".4f") for name in scored)),
-        [[row, *(of.errors[row] for of in scored.values())] for row in rows],
+        [[first.marked(row), *(of.errors[row] for of in scored.values())] for row in rows],
     )
     best = "; ".join(f"{name}: {of.best_camera[0]}" for name, of in scored.items())
     ratios = Table(
         f"The same over the error of the camera that was best in hindsight ({best})",
         (Column("policy"), *(Column(name, "x", ".2f") for name in scored)),
-        [[row, *(of.ratio(row) for of in scored.values())] for row in rows],
+        [[first.marked(row), *(of.ratio(row) for of in scored.values())] for row in rows],
     )
     differences = [
         Table(
@@ -184,13 +193,14 @@ def draw(scored: Mapping[str, Scored], path: Path) -> None:
     from matplotlib.colors import LogNorm
     from matplotlib.figure import Figure
 
-    rows = list(next(iter(scored.values())).errors)
+    first = next(iter(scored.values()))
+    rows = list(first.errors)
     ratios = np.array([[of.ratio(row) for of in scored.values()] for row in rows])
     figure = Figure(figsize=(3.5 + 0.6 * len(scored), 1.8 + 0.28 * len(rows)), layout="constrained")
     axes = figure.subplots()
     image = axes.imshow(ratios, norm=LogNorm(0.25, 4.0), cmap="RdBu_r", aspect="auto")
     axes.set_xticks(range(len(scored)), [name.replace("_", " ") for name in scored], rotation=60, ha="right")
-    axes.set_yticks(range(len(rows)), rows)
+    axes.set_yticks(range(len(rows)), [first.marked(row) for row in rows])
     for (i, j), ratio in np.ndenumerate(ratios):
         axes.text(j, i, f"{ratio:.2f}", ha="center", va="center", fontsize=7)
     axes.set_title("RTE over that of the hindsight-best camera")
