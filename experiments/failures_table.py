@@ -30,6 +30,9 @@ TRACK = "VISION"
 REFERENCES = ("CAM_FRONT", "LINEAR", "HUBER")
 """Every row is compared with these, on the scenes of one kind."""
 
+_DARK = 2.2
+"""Beyond this ratio, or its inverse, the colour is so dark that figures in it are white."""
+
 INSTANT = "w/o inertial initialization"
 
 
@@ -202,8 +205,10 @@ def draw(scored: Mapping[str, Scored], path: Path) -> None:
     axes.set_xticks(range(len(scored)), [name.replace("_", " ") for name in scored], rotation=60, ha="right")
     axes.set_yticks(range(len(rows)), [first.marked(row) for row in rows])
     for (i, j), ratio in np.ndenumerate(ratios):
-        axes.text(j, i, f"{ratio:.2f}", ha="center", va="center", fontsize=7)
-    axes.set_title("RTE over that of the hindsight-best camera")
-    figure.colorbar(image, ax=axes, label="ratio")
+        dark = ratio > _DARK or ratio < 1.0 / _DARK
+        axes.text(j, i, f"{ratio:.2f}", ha="center", va="center", fontsize=7, color="white" if dark else "black")
+    axes.set_title("RTE over that of the camera best in hindsight; † reads the truth or the future")
+    ticks = (0.25, 0.5, 1.0, 2.0, 4.0)
+    figure.colorbar(image, ax=axes, label="ratio", ticks=ticks, format="%g").minorticks_off()
     with atomic_path(path) as part:
         figure.savefig(part, format="png", dpi=110, metadata={"Software": None})
