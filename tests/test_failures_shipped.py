@@ -35,7 +35,7 @@ def test_the_matrix_is_whole_and_of_the_bundled_headline() -> None:
     assert found["privileged"] == [name for name in found["matrix"] if name in POLICIES and POLICIES[name].privileged]
     for row in found["matrix"].values():
         assert list(row) == list(KINDS)
-        assert all(0.0 < value < 1.0 for value in row.values())
+        assert all(0.0 < value < 10.0 for value in row.values())
 
 
 def test_rows_fitted_on_other_recordings_have_no_matrix() -> None:
@@ -68,11 +68,11 @@ def test_a_fault_spoils_one_camera_and_nothing_else(suite: dict[str, Recordings]
 def test_an_environment_says_which_camera_is_frozen_now(suite: dict[str, Recordings]) -> None:
     told = suite["frozen"].manifest.parameters[CAMERA_FAULTS]
     for scene in suite["frozen"].scenes:
-        env = gymnasium.make("mixo_env:MixoOdometry-v0", recordings=suite["frozen"], split="all")
+        env = gymnasium.make("mixo_env:MixoOdometry-v0", recordings=suite["frozen"], split="ood")
         _, info = env.reset(options={"scene": scene.name})
         said, ended = [info["faults"]], False
         while not ended:
-            *_, ended, _, info = env.step(np.zeros(5, np.float32))
+            *_, ended, info = env.step(np.zeros(5, np.float32))
             said.append(info["faults"])
         assert {name for faults in said for name in faults} == {told[scene.name]["camera"]}
         assert 0.3 < np.mean([any(faults.values()) for faults in said]) < 0.7
