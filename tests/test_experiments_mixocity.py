@@ -17,7 +17,7 @@ from mixo_env.nuscenes.selections import CAMERAS
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.folds import FOLDS, OUT_OF_DISTRIBUTION, folds_by_log
 from mixo_env.recordings.schema import SceneEntry
-from mixo_env.recordings.store import load_recordings
+from mixo_env.recordings.store import TIMINGS_FILE, load_recordings, read_columns, write_columns
 from mixo_env.simulator.drive.scenario import plan_logs
 from mixo_env.simulator.drive.scenes import scene_drive
 from tests.synthetic import synthetic_recordings
@@ -96,6 +96,10 @@ def stages(monkeypatch) -> list[tuple]:
     def record(dataset, config, out, workers, progress) -> Recordings:
         assert out.parent == dataset.parent
         asked.append(("record", dataset.name, out.name, config))
+        out.mkdir(parents=True)
+        names = [*full_size_scenes(), "scene-2002"]  # the last is not the first of its drive
+        timings = {"scene": np.array(names, object), "expert_ms": np.arange(float(len(names)))}
+        write_columns(out / TIMINGS_FILE, timings, [len(names)])
         return drawn.replace(replace(drawn.manifest, scenes=scenes, parameters={"skipped": {}}))
 
     monkeypatch.setattr("mixo_env.recordings.record.require_xfeat", lambda: None)
@@ -137,6 +141,8 @@ def test_stages_in_order(stages, tmp_path):
         name: planned_folds()[name] for name in full_size_scenes()
     }
     assert set(put.manifest.linear_weights["PAPER"]) == {"none", "0", "1", "2", "3"}
+    timings, _, _ = read_columns((out / "mixocity-paper" / TIMINGS_FILE).read_bytes())
+    assert timings["scene"].tolist() == list(full_size_scenes())
 
 
 def test_one_stage_alone_and_wrong_ones(stages, tmp_path, monkeypatch, caplog):
