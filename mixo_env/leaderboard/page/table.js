@@ -160,7 +160,8 @@ function drawFailures() {
   const least = (kind) =>
     Math.min(...rows.filter(([row]) => !privileged.has(row)).map(([, values]) => values[kind] ?? Infinity));
   const best = Object.fromEntries(kinds.map((kind) => [kind, least(kind)]));
-  const cell = (kind) => ([, values]) => fixed(values[kind], 4) + (values[kind] <= best[kind] ? " ●" : "");
+  const leads = (row, value, kind) => !privileged.has(row) && value === best[kind];
+  const cell = (kind) => ([row, values]) => fixed(values[kind], 4) + (leads(row, values[kind], kind) ? " ●" : "");
   const head = element("thead");
   const line = element("tr");
   for (const name of ["Row", ...kinds]) line.append(element("th", name.replaceAll("_", " "), { scope: "col" }));
