@@ -18,19 +18,25 @@ from typing import Literal, get_args
 import numpy as np
 
 import mixo_env
+from experiments.peers.orbslam3_client import orbslam3_python
+from experiments.peers.orbslam3_expert import FAMILY, Orbslam3Expert
 from mixo_env.errors import DatasetError, MixoError
+from mixo_env.experts.families import family_expert
 from mixo_env.experts.joint.config import JointConfig
 from mixo_env.experts.learned import LearnedConfig
 from mixo_env.experts.monocular.config import MonocularConfig
 from mixo_env.experts.tutorial import TutorialConfig
 from mixo_env.leaderboard.conditions import SITUATIONS
+from mixo_env.nuscenes.selections import CAMERAS
 from mixo_env.nuscenes.tables import open_dataset
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.fitting import with_fits
 from mixo_env.recordings.folds import FOLDS, folds_by_log
+from mixo_env.recordings.importing import import_into
 from mixo_env.recordings.record import RecordConfig, record
 from mixo_env.recordings.schema import SceneEntry
-from mixo_env.recordings.store import TIMINGS_FILE, read_columns, save_recordings, write_columns
+from mixo_env.recordings.sequence_files import Reading
+from mixo_env.recordings.store import TIMINGS_FILE, load_recordings, read_columns, save_recordings, write_columns
 from mixo_env.recordings.vehicles import training_constants
 from mixo_env.recordings.vocabularies import Retrained, retrain
 from mixo_env.simulator.config import SimulationConfig
@@ -50,7 +56,10 @@ RETRAINED = ("CAM_BACK_RIGHT", "CAM_FRONT_LEFT")
 
 DATA_VERSION = "1.0"
 
-Stage = Literal["simulate", "record", "vocabularies", "record-rows", "simulate-paper", "record-paper"]
+Stage = Literal["simulate", "record", "vocabularies", "record-rows", "import-peer", "simulate-paper", "record-paper"]
+
+PEER_GAP_S = 0.15
+"""Between two images of ORB-SLAM3, at most: a longer gap would go on from poses before lost images."""
 
 
 def row_scenes() -> tuple[str, ...]:
@@ -131,6 +140,8 @@ class Build:
                         learned=LearnedConfig(),
                     )
                     self._record(city, "mixocity-rows", rows, progress)
+                case "import-peer":
+                    self._import_peer(city)
                 case "simulate-paper":
                     simulate(FULL_SIZE, full_size, self.workers, progress, only=full_size_scenes())
                 case "record-paper":
@@ -141,6 +152,24 @@ class Build:
         """Trained on a random 20 % of the images of the folds that a scene is not in."""
         settings, scenes = MonocularConfig.preset("fast"), row_scenes()
         return retrain(open_dataset(city), RETRAINED, settings, self.cache, scenes=scenes, workers=self.workers)
+
+    def _import_peer(self, city: Path) -> None:
+        """ORB-SLAM3 over the row scenes, beside their other rows; nothing where that program cannot be installed.
+
+        Its threads race: another run differs a little.
+        """
+        if orbslam3_python() is None:
+            logger.warning("import-peer: ORB-SLAM3 cannot be installed here, mixocity-rows stays without it")
+            return
+        files, home = self.cache / "orbslam3", self.out / "mixocity-rows"
+        if Orbslam3Expert(city, files, scenes=row_scenes()).run():
+            raise DatasetError("ORB-SLAM3 died in some scenes, see above: the same command tries them again")
+        names = [family_expert(FAMILY, camera) for camera in CAMERAS]
+        rows = load_recordings(home)
+        old = [name for name in names if name in rows.manifest.imported]
+        experts = {name: files / name for name in names}
+        live = Reading(live=True)
+        save_recordings(import_into(rows, experts, live, PEER_GAP_S, old, names, logger.info), home)
 
     def _record(self, root: Path, name: str, config: RecordConfig, progress: Callable[[int, int], None]) -> None:
         """Record into the cache, and put the finished recording in its place."""

@@ -109,6 +109,7 @@ def stages(monkeypatch) -> list[tuple]:
         "retrain",
         lambda dataset, cameras, *_, scenes, **__: asked.append(("retrain", cameras, scenes)) or {},
     )
+    monkeypatch.setattr(mixocity, "orbslam3_python", lambda: None)
     monkeypatch.setattr(mixocity, "open_dataset", lambda root: root)
     monkeypatch.setattr(mixocity, "record", record)
     return asked
