@@ -9,6 +9,7 @@ import pytest
 
 from experiments.mixocity import DATA_VERSION, RETRAINED, full_size_scenes, planned_folds, row_scenes
 from mixo_env.experts.families import family_expert
+from mixo_env.leaderboard.paper.parts import folder_of, median_spent_ms
 from mixo_env.nuscenes.selections import CAMERAS
 from mixo_env.recordings.joint import JOINT
 from mixo_env.recordings.schema import HEADLINE_TRACKS, INERTIAL_EXPERTS, SPLITS
@@ -91,3 +92,10 @@ def test_mixocity_paper_shows_the_same_drives_in_the_same_folds():
     same = small.select(scenes=full_size_scenes())
     for column in ("timestamp_us", "truth.x_m", "exact.yaw_rad", "distance_m", "INERTIAL.yaw_increment_rad"):
         np.testing.assert_array_equal(large[column], same[column])
+
+
+@of_this_version
+def test_times_of_every_camera_and_of_the_solve_come_with_the_headline():
+    spent = median_spent_ms(folder_of(None))
+    assert set(spent) == {*CAMERAS, JOINT}
+    assert all(0.1 < value < 83.3 for value in spent.values())
