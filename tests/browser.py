@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import shutil
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -66,3 +67,15 @@ def page(browser: Browser) -> Iterator[Page]:
 def open_file(page: Page, path: Path) -> None:
     """Open a file and wait until its scripts have run."""
     page.goto(path.resolve().as_uri(), wait_until="load")
+
+
+def wait_until(page: Page, expression: str, timeout_s: float = 30.0) -> None:
+    """Ask again and again until an expression holds.
+
+    Playwright's own waiting evaluates text inside the page, which pages with a content security policy forbid as soon as
+    the answer is not there at once.
+    """
+    stop = time.monotonic() + timeout_s
+    while not page.evaluate(expression):
+        assert time.monotonic() < stop, f"not within {timeout_s:g} s: {expression}"
+        page.wait_for_timeout(20)

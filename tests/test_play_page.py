@@ -20,7 +20,7 @@ from mixo_env.experts.expert import State
 from mixo_env.metrics.relative import relative_samples_se2
 from mixo_env.recordings.collection import Recordings
 from mixo_env.trajectory.planar import PlanarPoses
-from tests.browser import PHONE, open_file
+from tests.browser import PHONE, open_file, wait_until
 from tests.bundle import bundled
 from tests.synthetic import synthetic_recordings
 
@@ -217,7 +217,7 @@ def test_the_keyboard_plays(page: Page, small: Path) -> None:
     assert page.evaluate("getComputedStyle(document.activeElement).outlineStyle") == "solid"
     page.evaluate("document.activeElement.blur()")
     page.keyboard.press("Space")
-    page.wait_for_function("game.you.step > 3")
+    wait_until(page, "game.you.step > 3")
     page.keyboard.press("Space")
     assert page.inner_text("#run").endswith("Play")
     page.keyboard.press("e")

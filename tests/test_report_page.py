@@ -25,7 +25,7 @@ from mixo_env.metrics.aggregate import interquartile_mean, probability_of_improv
 from mixo_env.metrics.anatomy import error_anatomy
 from mixo_env.recordings.store import save_recordings
 from mixo_env.trajectory.planar import PlanarPoses
-from tests.browser import PHONE, open_file
+from tests.browser import PHONE, open_file, wait_until
 from tests.synthetic import synthetic_recordings
 
 if TYPE_CHECKING:
@@ -217,7 +217,7 @@ def test_a_page_as_full_as_can_be_answers_within_two_seconds(page: Page, results
     for _ in range(3):
         open_file(page, file)
         assert page.get_attribute("body", "data-ready") == "yes"
-        page.wait_for_function("performance.getEntriesByType('navigation')[0].loadEventEnd > 0")
+        wait_until(page, "performance.getEntriesByType('navigation')[0].loadEventEnd > 0")
         took_ms.append(page.evaluate("performance.getEntriesByType('navigation')[0].loadEventEnd"))
     assert min(took_ms) < 2000
 
