@@ -72,8 +72,8 @@ def open_file(page: Page, path: Path) -> None:
 def wait_until(page: Page, expression: str, timeout_s: float = 30.0) -> None:
     """Ask again and again until an expression holds.
 
-    Playwright's own waiting evaluates text inside the page, which pages with a content security policy forbid as soon as
-    the answer is not there at once.
+    Playwright's own waiting evaluates text inside the page, which pages with a content security policy forbid as soon
+    as the answer is not there at once.
     """
     stop = time.monotonic() + timeout_s
     while not page.evaluate(expression):
