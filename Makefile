@@ -15,7 +15,7 @@ mixocity: .venv/integrations  ## the bundled recordings anew, from nothing: hour
 	$(BIN)/python -m experiments.mixocity --workers $(WORKERS)
 
 mixocity-failures: .venv/installed  ## the failure suite and its table, from nothing: hours; resumable
-	$(BIN)/python -m experiments.failures --workers $(WORKERS)
+	$(BIN)/python -m experiments.failures --workers $(WORKERS) --stages record table sample
 	cp results/failures/failures.json mixo_env/leaderboard/
 	cp results/failures/failures.png docs/figures/
 

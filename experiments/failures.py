@@ -16,7 +16,7 @@ import sys
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Any, Literal
 
 from experiments.failures_table import write_tables
 from mixo_env.errors import ConfigurationError, DatasetError, MixoError, unknown
@@ -79,8 +79,9 @@ class Failures:
     """Where recordings are kept, and pictures while they are needed."""
     out: Path = Path("results/failures")
     """Folder of failures.json, failures.md and failures.png."""
-    stages: tuple[Stage, ...] = get_args(Stage)
-    """record: simulate and record; table: score what is recorded; sample: put a few scenes beside the tests."""
+    stages: tuple[Stage, ...] = ("record", "table")
+    """record: simulate and record; table: score what is recorded; sample: put a few scenes beside the tests, which are
+    of the drives of the table."""
     kinds: tuple[str, ...] = KINDS
     """Columns; all by default."""
     drives: Literal["table", "development"] = "table"
@@ -102,6 +103,10 @@ class Failures:
         for kind in self.kinds:
             if kind not in KINDS:
                 raise ConfigurationError(unknown("kind of failure", kind, KINDS))
+        if "sample" in self.stages and (self.drives != "table" or not set(SAMPLED) <= set(self.kinds)):
+            raise ConfigurationError(
+                f"--stages sample is of the drives of the table, {', '.join(SAMPLED)}: leave --drives and --kinds out"
+            )
 
     def run(self) -> None:
         """Go through the stages.
@@ -121,7 +126,7 @@ class Failures:
             write_tables(recorded, load_recordings(), writable_folder(self.out), self.policies)
             logger.info("table: %s", self.out)
         if "sample" in self.stages:
-            for kind in SAMPLED.keys() & set(self.kinds):
+            for kind in SAMPLED:
                 self.sample(kind)
 
     def sample(self, kind: str) -> None:

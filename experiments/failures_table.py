@@ -54,7 +54,7 @@ class Scored:
     p_holm: dict[tuple[str, str], float]
     best_camera: tuple[str, float]
     scenes: int
-    privileged: frozenset[str] = frozenset()
+    privileged: frozenset[str]
 
     def marked(self, row: str) -> str:
         """Name of a row, with the mark of privileged ones."""

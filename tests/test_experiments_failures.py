@@ -121,10 +121,18 @@ def test_the_matrix_is_what_the_report_reads(suite: Failures) -> None:
 
 
 def test_a_few_scenes_go_beside_the_tests(suite: Failures) -> None:
+    suite.sample("ordinary")
     whole = load_recordings(str(suite.folder("ordinary") / "recordings"))
     sample = load_recordings(str(suite.samples / "ordinary"))
     assert [path.name for path in suite.samples.iterdir()] == ["ordinary"]
     assert sample.scenes == whole.scenes[:2]
+
+
+def test_scenes_beside_the_tests_are_of_the_table_and_whole() -> None:
+    Failures(stages=("sample",))
+    for other in ({"drives": "development"}, {"kinds": ("ordinary",)}):
+        with pytest.raises(ConfigurationError, match="sample is of the drives of the table, "):
+            Failures(stages=("record", "sample"), **other)
 
 
 def test_a_second_run_changes_nothing(suite: Failures) -> None:
@@ -170,7 +178,7 @@ def test_scenes_too_short_for_a_score_are_one_line_and_write_nothing(
     suite: Failures, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     recordings = load_recordings(str(suite.folder("black") / "recordings"))
-    nothing = Scored(dict.fromkeys(ROWS, float("nan")), {}, {}, ("CAM_FRONT", float("nan")), 2)
+    nothing = Scored(dict.fromkeys(ROWS, float("nan")), {}, {}, ("CAM_FRONT", float("nan")), 2, frozenset())
     monkeypatch.setattr(failures_table, "score", lambda policies, suite: nothing)
     with pytest.raises(ConfigurationError, match="black: no scene of 2 is as long"):
         write_tables({"black": recordings}, headline(), tmp_path, ROWS)

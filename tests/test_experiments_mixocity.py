@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,11 +14,12 @@ from experiments.mixocity import CONFIG, FULL_SIZE, full_size_scenes, planned_fo
 from mixo_env.errors import DatasetError
 from mixo_env.experts.families import family_expert
 from mixo_env.experts.monocular.config import MonocularConfig
+from mixo_env.leaderboard.trajectories import ways, write_way
 from mixo_env.nuscenes.selections import CAMERAS
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.folds import FOLDS, OUT_OF_DISTRIBUTION, folds_by_log
 from mixo_env.recordings.schema import SceneEntry
-from mixo_env.recordings.store import TIMINGS_FILE, load_recordings, read_columns, write_columns
+from mixo_env.recordings.store import TIMINGS_FILE, load_recordings, read_columns, save_recordings, write_columns
 from mixo_env.simulator.drive.scenario import plan_logs
 from mixo_env.simulator.drive.scenes import scene_drive
 from tests.synthetic import synthetic_recordings
@@ -166,3 +168,32 @@ def test_a_recording_that_is_not_whole_is_not_put_in_place(stages, tmp_path, mon
     with pytest.raises(DatasetError, match="not whole: 1 scenes"):
         mixocity.Build(cache=tmp_path, out=tmp_path / "data", stages=("record",)).run()
     assert not (tmp_path / "data").exists()
+
+
+def test_the_peer_comes_beside_the_other_rows_and_again_in_its_own_place(tmp_path, monkeypatch):
+    drawn = synthetic_recordings(0, scenes=4)
+    save_recordings(drawn, tmp_path / "data" / "mixocity-rows")
+
+    @dataclass
+    class Peer:
+        dataroot: Path
+        out: Path
+        scenes: tuple[str, ...]
+
+        def run(self) -> int:
+            assert self.scenes == row_scenes()
+            for way in ways(drawn, "VISION"):
+                if way.row in CAMERAS:
+                    write_way(self.out, replace(way, row=family_expert("ORBSLAM3", way.row)), "tum")
+            return 0
+
+    monkeypatch.setattr(mixocity, "orbslam3_python", lambda: Path("python"))
+    monkeypatch.setattr(mixocity, "Orbslam3Expert", Peer)
+    build = mixocity.Build(cache=tmp_path / "cache", out=tmp_path / "data", stages=("import-peer",))
+    for _ in range(2):
+        build.run()
+        put = load_recordings(tmp_path / "data" / "mixocity-rows")
+        assert put.manifest.imported == tuple(family_expert("ORBSLAM3", camera) for camera in CAMERAS)
+        assert put.voters("VISION") == drawn.voters("VISION")
+        told = np.isfinite(put["ORBSLAM3_FRONT.yaw_increment_rad"])
+        assert told.mean() > 0.9

@@ -102,8 +102,10 @@ def test_a_killed_worker_is_one_line(recordings: Recordings, monkeypatch: pytest
 
 
 def test_no_workers_are_refused(recordings: Recordings) -> None:
-    with pytest.raises(ConfigurationError, match="workers must be at least 1, got 0"):
-        build(recordings, policies=("MEAN",), tracks=("VISION",), workers=0)
+    trial = Trial(outside={"GUARDED": Guarded})  # stays in this process
+    for name in ("MEAN", "GUARDED"):
+        with pytest.raises(ConfigurationError, match="workers must be at least 1, got 0"):
+            build(recordings, policies=(name,), tracks=("VISION",), trial=trial, workers=0)
 
 
 def test_processes_are_as_many_as_pay(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -18,7 +18,7 @@ from mixo_env.leaderboard.crossvalidation import CrossValidation
 from mixo_env.leaderboard.evaluation import Truth, noisy_truth
 from mixo_env.leaderboard.noise import NOISE_FLOOR
 from mixo_env.leaderboard.rows import Row, Scorer
-from mixo_env.recordings.processes import KILLED, Killed, each
+from mixo_env.recordings.processes import KILLED, Killed, check_workers, each
 
 MOST_WORKERS = 4
 """Each holds the recordings and what is learned from: 0.55 GB with the bundled ones."""
@@ -112,6 +112,7 @@ def compute(
         PolicyError: when a policy asked for by name does not fit the recordings.
         ConfigurationError: for no workers, or when one was killed again and again.
     """
+    check_workers(workers)
     protocol = contests[0].protocol
     at_home = {place: workers == 1 or protocol.strange(place.name) for place in places}
     found: dict[Place, Row | PolicyError] = {}

@@ -192,10 +192,7 @@ class CrossValidation:
 
     def expensive(self, name: str) -> bool:
         """Whether a class says that it is too slow to fit for every fold; one that cannot be imported does not."""
-        try:
-            return name not in FLOORS and bool(self._kind(name).expensive)
-        except PolicyError:
-            return False
+        return self._says(name, "expensive")
 
     def slow(self, name: str) -> bool:
         """Whether a row takes far longer to fit than all others: an agent trained by reinforcement, or expensive."""
@@ -203,15 +200,18 @@ class CrossValidation:
 
     def learns(self, name: str) -> bool:
         """Whether a row is fitted; one that cannot be imported is not."""
-        try:
-            return name not in FLOORS and bool(self._kind(name).learns)
-        except PolicyError:
-            return False
+        return self._says(name, "learns")
 
     def strange(self, name: str) -> bool:
         """Whether a row is no policy of this package, but from outside or a plug-in."""
         ours = (*FLOORS, *POLICIES, *variants(self.recordings), *self.recordings.experts)
         return name in self.trial.outside or name not in ours
+
+    def _says(self, name: str, trait: Literal["expensive", "learns"]) -> bool:
+        try:
+            return name not in FLOORS and bool(getattr(self._kind(name), trait))
+        except PolicyError:
+            return False
 
     def _kind(self, name: str) -> type[Policy] | Policy:
         outside = self.trial.outside

@@ -108,6 +108,16 @@ def _named(name: str, function: Callable[..., Any], arguments: tuple[Any, ...]) 
     return name, function(*arguments)
 
 
+def check_workers(workers: int) -> None:
+    """See that there are any.
+
+    Raises:
+        ConfigurationError: for none.
+    """
+    if workers < 1:
+        raise ConfigurationError(f"workers must be at least 1, got {workers}")
+
+
 @contextmanager
 def processes(workers: int) -> Iterator[None]:
     """Inside the block, ``joblib.Parallel()`` runs there.
@@ -120,8 +130,7 @@ def processes(workers: int) -> Iterator[None]:
     """
     from joblib import parallel_config
 
-    if workers < 1:
-        raise ConfigurationError(f"workers must be at least 1, got {workers}")
+    check_workers(workers)
     with parallel_config(backend="loky", n_jobs=workers, inner_max_num_threads=1):
         yield
 

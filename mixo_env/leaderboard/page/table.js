@@ -172,7 +172,7 @@ function drawFailures() {
   const scenes = [...new Set(Object.values(failures.scenes))].join(" or ");
   const told =
     `RTE in deg/m by exact truth, track ${failures.track}, ${scenes} scenes of as many drives in every column. ` +
-    `Rows were fitted on ${failures.data_version}, on none of these. † reads the truth or the future. ● least of the others in its column.`;
+    `Rows were fitted on ${failures.data_version} alone. † reads the truth or the future; ● marks the least of the others in its column.`;
   place.replaceChildren(element("p", told, { class: "small" }), table);
 }
 
