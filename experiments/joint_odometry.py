@@ -7,6 +7,7 @@ python -m experiments.joint_odometry --recordings recorded
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from numpy.typing import NDArray
 from experiments.studies import exact_turn, print_study
 from mixo_env.errors import RecordingError
 from mixo_env.leaderboard.board import build
-from mixo_env.leaderboard.paper.parts import median_spent_ms
+from mixo_env.leaderboard.paper.parts import folder_of, median_spent_ms
 from mixo_env.leaderboard.rows import Row
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.joint import JOINT
@@ -30,8 +31,7 @@ TURNING_RAD = np.radians(45.0)
 COLUMNS = (
     Column("row"),
     Column("all", "deg/m", ".5f"),
-    Column("turning", "deg/m", ".5f"),
-    Column("straight", "deg/m", ".5f"),
+    *(Column(part, "deg/m", ".5f") for part in ("day", "rain", "turning")),
     Column("increment", "deg", ".4f"),
     Column("within 1 std", "%", ".0f"),
     Column("within 1.96 std", "%", ".0f"),
@@ -44,13 +44,12 @@ class JointOdometryStudy:
     """Print accuracy, calibration and cost of JOINT."""
 
     recordings: Path
-    """Folder of a recording made with ``--experts JOINT``."""
+    """Folder of a recording made with ``--experts JOINT``, or the name of a bundled one."""
 
     def run(self) -> Table:
         """Score every row against the headline's truth."""
-        recordings = load_recordings(self.recordings)
-        spent = median_spent_ms(self.recordings)
-        return study(recordings, spent)
+        recordings = load_recordings(str(self.recordings))
+        return study(recordings, median_spent_ms(folder_of(self.recordings)))
 
 
 def study(recordings: Recordings, spent_ms: dict[str, float]) -> Table:
@@ -67,15 +66,18 @@ def study(recordings: Recordings, spent_ms: dict[str, float]) -> Table:
         raise RecordingError(f"expected a recording with {JOINT}, got none: mixo record ... --experts {JOINT}")
     names = (*recordings.manifest.cameras, JOINT, "HUBER")
     board = build(recordings, policies=names, tracks=("VISION",), night=False)
+    rain = np.array(["rain" in scene.conditions for scene in board.recordings.scenes])
     turning = _turning(board.recordings)
+    subsets = (np.ones_like(rain), ~rain, rain, turning)
     rows = []
     for row in board.standings[0].rows:
         inside = _coverage(recordings, row.name)
         increment = row.headline.yaw_increment_rmse_deg
-        rows.append([row.name, *_relative(row, turning), increment, *inside, spent_ms.get(row.name, np.nan)])
+        rows.append([row.name, *_relative(row, subsets), increment, *inside, spent_ms.get(row.name, np.nan)])
     caption = (
         f"Mean relative rotation error in track VISION against {board.headline}, {len(board.recordings)} scenes, "
-        f"{int(turning.sum())} of them turning; CPU: median of an image, of {JOINT} the solve of a step."
+        f"{int(rain.sum())} of them in rain, {int(turning.sum())} turning; CPU: median of an image, of {JOINT} the "
+        "solve of a step."
     )
     return Table(caption, COLUMNS, rows)
 
@@ -86,11 +88,10 @@ def _turning(recordings: Recordings) -> NDArray[np.bool_]:
     return np.array([np.ptp(yaw) > TURNING_RAD for yaw in yaws])
 
 
-def _relative(row: Row, turning: NDArray[np.bool_]) -> list[float]:
-    """Mean error [deg/m] in all scenes, the turning and the straight ones; NaN where there is none."""
+def _relative(row: Row, subsets: Sequence[NDArray[np.bool_]]) -> list[float]:
+    """Mean error [deg/m] in each subset ``(scenes,)``; NaN where it is empty."""
     relative = next(iter(row.errors.values())).relative
-    tested, turns = row.run.tested[relative.scene], turning[relative.scene]
-    parts = (relative.rotation_deg_per_m[tested & which] for which in (np.ones_like(turns), turns, ~turns))
+    parts = (relative.rotation_deg_per_m[(row.run.tested & subset)[relative.scene]] for subset in subsets)
     return [float(part.mean()) if len(part) else np.nan for part in parts]
 
 

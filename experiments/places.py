@@ -81,7 +81,8 @@ class Place:
             policy = policy_of(fold)
             learns, privileged = policy.learns, policy.privileged
             scenes = tested.select(scenes=[tested.scenes[i].name for i in np.flatnonzero(here)])
-            increments[here[scene_of_row]] = rollout(policy, scenes, track).yaw_increment_rad
+            travel = rollout(policy, scenes, track, privileged=privileged)
+            increments[here[scene_of_row]] = travel.yaw_increment_rad
         everything = np.ones(len(tested), dtype=np.bool_)
         return Run(shown, privileged, learns, {"truth": (with_wheels(tested, increments),)}, everything, {})
 

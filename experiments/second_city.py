@@ -22,8 +22,10 @@ from mixo_env.errors import MixoError, PolicyError
 from mixo_env.files import write_json
 from mixo_env.leaderboard.board import Standings, build
 from mixo_env.leaderboard.comparisons import LEVEL, Comparison
+from mixo_env.leaderboard.crossvalidation import CrossValidation, Trial
 from mixo_env.leaderboard.sentences import p_text, percent
-from mixo_env.policies.registry import kind, names
+from mixo_env.leaderboard.weights import shipped
+from mixo_env.policies.registry import names
 from mixo_env.recordings.store import load_recordings
 from mixo_env.tables import Column, Table
 
@@ -71,7 +73,7 @@ def errors_of(standings: Standings) -> dict[str, float]:
 
 
 def standings_of(recordings: str | None) -> dict[str, Standings]:
-    """The leaderboard by track, without expensive policies.
+    """The leaderboard by track, without agents; rows whose weights come with the package are not fitted again.
 
     Raises:
         PolicyError: with fewer than two folds: learned rows would come from the reference city.
@@ -79,7 +81,9 @@ def standings_of(recordings: str | None) -> dict[str, Standings]:
     loaded = load_recordings(recordings)
     if len({scene.fold for scene in loaded.scenes if scene.fold >= 0}) < 2:
         raise PolicyError(f"{recordings}: expected two folds or more, to learn in the city itself: record more drives")
-    board = build(loaded, policies=[name for name in names(loaded) if not kind(name, loaded).expensive])
+    trial = Trial(weights=shipped())
+    protocol = CrossValidation(loaded, trial)
+    board = build(loaded, policies=[name for name in names(loaded) if not protocol.slow(name)], trial=trial)
     return {standings.track: standings for standings in board.standings}
 
 

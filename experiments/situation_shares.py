@@ -26,6 +26,8 @@ from numpy.typing import NDArray
 from experiments import stored_figures as stored
 from mixo_env.errors import ConfigurationError, MixoError
 from mixo_env.leaderboard.board import Standings, build
+from mixo_env.leaderboard.crossvalidation import CrossValidation
+from mixo_env.policies.registry import names
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.store import load_recordings
 
@@ -112,12 +114,11 @@ def table_scores(standings: Standings) -> dict[str, dict[str, float]]:
 
 
 def leaderboard_scores(recordings: Recordings, choice: Choice) -> Scores:
-    """The leaderboard of one variant: learned policies are fitted anew, expensive ones left out."""
-    from mixo_env.policies.registry import kind, names
-
+    """The leaderboard of one variant: learned policies are fitted anew, agents left out for their time."""
     chosen = {*choice.plain, *choice.staged}
     scenes = recordings.select(scenes=[scene.name for scene in recordings.scenes if scene.name in chosen])
-    board = build(scenes, policies=[name for name in names(scenes) if not kind(name, scenes).expensive])
+    protocol = CrossValidation(scenes)
+    board = build(scenes, policies=[name for name in names(scenes) if not protocol.slow(name)], workers=1)
     return {standings.track: table_scores(standings) for standings in board.standings}
 
 

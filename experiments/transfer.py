@@ -27,7 +27,7 @@ from mixo_env.errors import ConfigurationError, PolicyError
 from mixo_env.leaderboard.comparisons import Comparison
 from mixo_env.leaderboard.crossvalidation import CrossValidation, Run, Trial
 from mixo_env.leaderboard.evaluation import Truth
-from mixo_env.leaderboard.rows import Scorer
+from mixo_env.leaderboard.rows import Score, Scorer
 from mixo_env.leaderboard.sentences import p_text, percent
 from mixo_env.leaderboard.weights import shipped
 from mixo_env.recordings.collection import Recordings
@@ -38,7 +38,13 @@ from mixo_env.tables import Cell, Column, Table
 logger = logging.getLogger(__name__)
 
 THERE = ("LINEAR", "HUBER")
-"""What everyone is compared with; LINEAR is fitted where it is scored, too, HUBER where it cannot be brought."""
+"""LINEAR is fitted where it is scored, too, HUBER where it cannot be brought."""
+
+COMPARED = ("LINEAR", "HUBER", "MIXO", *map("{} THERE".format, THERE))
+"""What everyone is compared with."""
+
+ORACLE = "MULTICAMERA GT"
+"""The bound: how much of the way to it from LINEAR a row goes is what it closes."""
 
 NIGHT = "night"
 
@@ -73,6 +79,8 @@ class Transfer:
     """Folder of `mixo train`. None: weights that come with the package."""
     seed: int = 0
     """Of everything random."""
+    intervals: bool = False
+    """Print the 95 % interval of every difference over logs, uncorrected, in the place of its p after Holm."""
     markdown: bool = False
     """Print a table for a page."""
 
@@ -86,10 +94,12 @@ class Transfer:
             begins.append(len(lines))
             lines += self._lines(place, home, shown)
             logger.info("%s: done", place.name)
+        told = "their 95 % interval over logs" if self.intervals else "p after Holm over all pairs of a place"
         caption = (
             f"Fitted on {home.recordings.manifest.data_version}, track {self.track}, and played elsewhere without "
-            "refitting: headline RTE [10⁻³ deg/m] and paired differences, p after Holm over all pairs of a place, none "
-            f"with fewer than {FEWEST_LOGS} logs; THERE: fitted by cross-validation where it is scored"
+            f"refitting: headline RTE [10⁻³ deg/m]; share of the way from LINEAR to {ORACLE} (privileged), by RTE and "
+            f"by ATE [deg]; paired differences with {told}, none with fewer than {FEWEST_LOGS} logs; THERE: fitted by "
+            "cross-validation where it is scored"
         )
         return Table(caption, tuple(map(Column, ("place", "what", *shown))), lines, begins[1:])
 
@@ -129,9 +139,14 @@ class Transfer:
         title = f"{place.name} ({len(tested)} scenes, {logs} logs)"
         errors = {name: f"{1e3 * row.headline.rotation_deg_per_m.mean:.2f}" for name, row in rows.items()}
         lines: list[list[Cell]] = [[title, "RTE", *(errors.get(name, "-") for name in shown)]]
-        for other in (name for name in (*THERE, *map(there, THERE)) if name in rows):
+        if "LINEAR" in rows:
+            best = scorer.row(self.track, place.brought(ORACLE, home, tested, self.track)).headline
+            worst = rows["LINEAR"].headline
+            closed = {name: _closed(row.headline, worst, best) for name, row in rows.items()}
+            lines.append([title, "closed, RTE / ATE", *(closed.get(name, "-") for name in shown)])
+        for other in (name for name in COMPARED if name in rows):
             differences = (found.between(name, other) for name in shown)
-            lines.append([title, f"- {other}", *(_difference(one, logs >= FEWEST_LOGS) for one in differences)])
+            lines.append([title, f"- {other}", *(self._difference(one, logs >= FEWEST_LOGS) for one in differences)])
         return lines
 
     def _brought(self, place: Place, name: str, home: CrossValidation, tested: Recordings) -> Run | None:
@@ -142,12 +157,21 @@ class Transfer:
             logger.info("%s, %s: %s", place.name, name, error)
             return None
 
+    def _difference(self, found: Comparison | None, told: bool) -> str:
+        """With its p or interval where there are logs enough for one."""
+        if found is None or not told:
+            return "-" if found is None else percent(found.share)
+        if self.intervals:
+            low, high = (100.0 * end / found.second_error for end in (found.difference.low, found.difference.high))
+            return f"{percent(found.share)} [{low:+.1f}, {high:+.1f}]"
+        return f"{percent(found.share)} ({p_text(found.p_holm)})"
 
-def _difference(found: Comparison | None, told: bool) -> str:
-    """With its p where there are logs enough for one."""
-    if found is None:
-        return "-"
-    return percent(found.share) + (f" ({p_text(found.p_holm)})" if told else "")
+
+def _closed(score: Score, worst: Score, best: Score) -> str:
+    """How far a row has come from one score to another, in RTE and in ATE."""
+    errors = [(one.rotation_deg_per_m.mean, one.ate_deg) for one in (score, worst, best)]
+    shares = ((far - own) / (far - near) for own, far, near in zip(*errors, strict=True))
+    return " / ".join(f"{round(100.0 * share)} %" for share in shares)
 
 
 def main(arguments: list[str] | None = None) -> int:

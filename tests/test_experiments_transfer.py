@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,10 +10,12 @@ import numpy as np
 import pytest
 
 from experiments.places import Place, alone, every
-from experiments.transfer import Transfer, main
+from experiments.transfer import Transfer, _closed, main
 from mixo_env.errors import ConfigurationError
 from mixo_env.leaderboard.crossvalidation import CrossValidation
 from mixo_env.leaderboard.evaluation import rollout
+from mixo_env.leaderboard.rows import Score
+from mixo_env.metrics.bootstrap import Interval
 from mixo_env.policies.policy import Policy
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.store import save_recordings
@@ -86,10 +89,25 @@ def test_the_table_has_every_place_and_no_p_of_few_logs(
     assert columns == ["place", "what", "MEDIAN", "LINEAR", "LINEAR THERE", "HUBER THERE"]
     for place in places:
         lines = {row[1]: [str(cell) for cell in row[2:]] for row in table.rows if row[0] == place}
-        assert list(lines) == ["RTE", "- LINEAR", "- LINEAR THERE", "- HUBER THERE"]
+        assert list(lines) == ["RTE", "closed, RTE / ATE", "- LINEAR", "- LINEAR THERE", "- HUBER THERE"]
         assert lines["- LINEAR"][1] == "-"
+        assert lines["closed, RTE / ATE"][1] == "0 % / 0 %"
         median, linear = (float(cell) for cell in lines["RTE"][:2])
         assert float(lines["- LINEAR"][0].partition(" %")[0]) == pytest.approx(100 * (median / linear - 1), abs=1.0)
         assert ("(" in lines["- LINEAR"][0]) == place.startswith("many")
+    shown = [str(cell) for row in replace(study, intervals=True).run().rows for cell in row]
+    found = [cell for cell in shown if "[" in cell]
+    assert found
+    for cell in found:
+        share, low, high = map(float, re.findall(r"[-+][\d.]+", cell))
+        assert low <= share <= high
     assert main(["--home", str(tmp_path / "none")]) == 1
     assert capsys.readouterr().out == ""
+
+
+def test_what_is_closed_is_a_share_of_the_way() -> None:
+    def score(rotation: float, ate_deg: float) -> Score:
+        one = Interval(rotation, rotation, rotation, 2, 0.95)
+        return Score(one, one, 10, 1, 1, 0.0, ate_deg, 0.0, 0.0)
+
+    assert _closed(score(2.0, 0.5), worst=score(3.0, 0.4), best=score(1.0, 0.2)) == "50 % / -50 %"

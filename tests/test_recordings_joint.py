@@ -85,7 +85,7 @@ def test_the_study_prints_a_row_for_every_camera_joint_and_huber():
     assert set(rows) == {*CAMERAS, JOINT, "HUBER"}
     assert rows[JOINT][:-1] == pytest.approx(rows["CAM_BACK"][:-1], nan_ok=True)
     assert rows[JOINT][-1] == 1.5
-    inside = rows["CAM_FRONT"][4]
+    inside = rows["CAM_FRONT"][5]
     assert isinstance(inside, float)
     assert 55.0 < inside < 80.0  # its noise is normal with the recorded standard deviation
     with pytest.raises(RecordingError, match="--experts JOINT"):
