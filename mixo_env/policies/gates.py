@@ -130,7 +130,7 @@ class _Stack:
     def __init__(self, settings: Sequence[Setting], training: Lesson, schedule: Schedule) -> None:
         import torch
 
-        self._x, self._rates, self._truth = (torch.from_numpy(values) for values in training)
+        self._x, self._rates, self._truth = (torch.tensor(values) for values in training)
         self._schedule, (n1, n2) = schedule, settings[0].sizes
         sizes = ((n1, len(training.x)), (n2, n1), (len(training.rates), n2))
         rng = np.random.default_rng([schedule.seed, 0])
