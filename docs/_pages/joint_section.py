@@ -19,8 +19,8 @@ reported for their windows (`headings.py`: Student-t, by their standard deviatio
 coupling: the row *rig alone* is. Both come from the same matches but err differently, and together they are better
 than either.
 
-Relative rotation error [deg/m] against exact truth, 40 scenes of 20 logs in each of two cities that nothing was fitted or
-chosen on, and the 320 scenes of the bundled one:
+Relative rotation error [deg/m] against exact truth, 40 scenes of 20 logs in each of two cities that nothing was
+fitted or chosen on, and the 320 scenes of the bundled one:
 
 | | seed 101 | rain (8) | turning (12) | seed 102 | rain (8) | turning (12) | bundled | rain (68) | turning (105) |
 |---|---|---|---|---|---|---|---|---|---|
@@ -37,19 +37,20 @@ mixo record seed-101 --out recorded-101 --experts JOINT
 python -m experiments.joint_odometry --recordings recorded-101                # or mixocity
 ```
 
-JOINT is 33, 42 and 44 % below the best single camera, 36, 27 and 34 % below HUBER, and behind it in no subset: not by day, in rain, or
-in turns. Increments lie within 1 (1.96) of their standard deviations in 78, 75 and 76 % (97, 96 and 96 %). Single increments are
-noisier than HUBER's (.0083, .0088 and .0087 against .0062, .0061 and .0065 deg). The solve costs 2.0 to 2.4 ms of CPU time in the
-median, the stateless one beside it included (3.0 ms before the step was laid out once for both and its small loops were compiled; in
-turns on one busy machine .72 times, 95 % interval .70 to .73), and each camera's image about 7 ms. Its weights were chosen on ten
-scenes of a city that an earlier simulator drew, after 20 had shown that most other weights make no difference beyond chance.
+JOINT is 33, 42 and 44 % below the best single camera, 36, 27 and 34 % below HUBER, and behind it in no subset: not by
+day, in rain, or in turns. Increments lie within 1 (1.96) of their standard deviations in 78, 75 and 76 % (97, 96 and
+96 %). Single increments are noisier than HUBER's (.0083, .0088 and .0087 against .0062, .0061 and .0065 deg). The
+solve costs 2.0 to 2.4 ms of CPU time in the median, the stateless one beside it included (3.0 ms before the step was
+laid out once for both and its small loops were compiled; in turns on one busy machine .72 times, 95 % interval .70 to
+.73), and each camera's image about 7 ms. Its weights were chosen on ten scenes of a city that an earlier simulator
+drew, after 20 had shown that most other weights make no difference beyond chance.
 
 What limits it: each camera's error has a part that lasts for seconds (CAM_BACK drifts .001 deg per step to the left in
 nearly every scene; the cause is spread over the picture and was not found). Widening the errors of single cameras
 for it helps in one half of a city as much as it harms in the other.
 
-With one camera spoilt, eight scenes of that earlier city (JOINT .00171); the captured camera's own odometry is taken to be
-deceived as well:
+With one camera spoilt, eight scenes of that earlier city (JOINT .00171); the captured camera's own odometry is taken
+to be deceived as well:
 
 | camera | left out (a black picture) | sees a vehicle turn by .23 deg a step for 4 s | picture stands still for 4 s |
 |---|---|---|---|

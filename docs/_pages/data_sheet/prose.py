@@ -24,10 +24,11 @@ HOW_MADE = """## How it was made
    errors (`rig`, `clock`). The noise-free truth is kept apart, and both scores are shown.
 4. **See.** Each log has a city of its own, rendered through four of the six nuScenes cameras (`world`, `render`,
    `sensor`), with what [lens, light and people](#lens-light-and-people) do.
-5. **Record.** The project's experts run over the images once (`mixo record`). Only the recordings are shipped: `mixocity` (all
-   scenes; four cameras, inertial experts, JOINT), `mixocity-rows` (28 drives of it, 7 of every fold, one a log, with the rows and
-   experts that cost more: TUTORIAL, LEARNED, ORBSLAM3, retrained vocabularies) and `mixocity-paper` (8 of these again at
-   1600 x 900 with preset `paper`); the first two with the CPU time of every image. [odometry.md](odometry.md) compares their experts.
+5. **Record.** The project's experts run over the images once (`mixo record`). Only the recordings are shipped:
+   `mixocity` (all scenes; four cameras, inertial experts, JOINT), `mixocity-rows` (28 drives of it, 7 of every fold,
+   one a log, with rows and experts that cost more: TUTORIAL, LEARNED, ORBSLAM3, retrained vocabularies) and
+   `mixocity-paper` (8 of these again at 1600 x 900 with preset `paper`); the first two with the CPU time of images.
+   [odometry.md](odometry.md) compares their experts.
 
 Calibrated were pictures, motion and CAN bus, against the real figures below and nothing else: neither expert
 failures nor shares of locally best cameras nor the order of methods were looked at while the simulator was set.
