@@ -28,7 +28,7 @@ def shares_section(study: Mapping[str, Any] | None) -> str:
         f"scenes inside the folds gives what simulating with other shares would give (but for blank walls, which the "
         f"other scenes of their log see as well). All variants have {study['scenes']} scenes, of which staged (every "
         f"situation but ordinary and standing, and all scenes in cities of low texture): {staged}. Learned policies "
-        "are fitted anew every time; PPO, which is fitted for one fold only, is left out. Rain stays as it is. "
+        "are fitted anew every time; agents trained by reinforcement are left out for their time. Rain stays as it is. "
         f"{study['draws']} random draws."
     )
     return "\n\n".join(
@@ -43,6 +43,8 @@ def shares_section(study: Mapping[str, Any] | None) -> str:
             "Lowest mean rank by RTE deg/m:\n\n" + _firsts(study, "rotation_deg_per_m"),
             "Mean rank (mean score) in the CONSUMER track by RTE deg/m:",
             _ranks(study, "CONSUMER", "rotation_deg_per_m"),
+            "How many drives it takes to tell rows apart, and what twenty chosen scenes tell: "
+            "[metrics.md](metrics.md#how-many-drives-tell-rows-apart).",
         ]
     )
 
