@@ -16,6 +16,9 @@ from mixo_env.tables import Column, Table
 
 SYMBOLS = ("N1", "N2", "d1", "d2", "eta0", "alpha")
 
+LEGEND_SHARE = 0.35
+"""Of an axis, kept free above the data for the legend."""
+
 
 @dataclass(frozen=True)
 class Landscape:
@@ -179,5 +182,7 @@ def _draw_spread(axis: Any, values: FloatArray, errors: FloatArray, column: int,
         )
     axis.axhline(linear, color="black", linestyle="--", linewidth=1.0, label="LINEAR")
     axis.set_xticks([])
-    axis.set_xlabel("values in the order of the legend; dash: the best")
-    axis.legend(fontsize=7)
+    axis.set_xlabel("in the order of the legend; dash: best")
+    low, high = axis.get_ylim()
+    axis.set_ylim(low, high + LEGEND_SHARE * (high - low))
+    axis.legend(fontsize=7, loc="upper right")
