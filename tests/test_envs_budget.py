@@ -175,7 +175,7 @@ def test_replay_equals_a_scene_recorded_with_cameras_really_switched(tmp_path: P
                     assert observation[name][0, c] == truly[f"{camera}.{name}"][k], name
         replay.step(np.full((1, len(replay.experts)), 0.2))
         if k + 1 < ROUNDS:
-            choice = np.ones((1, len(replay.cameras)), bool)
+            choice = np.ones((1, len(replay.cameras)), np.float32)
             choice[0, [replay.cameras.index(camera) for camera in switched]] = on[k + 1]
-            replay.switch(np.ones(1, bool), choice)
+            replay.switch(choice, np.ones(len(replay.cameras)))
     assert delivered >= 8

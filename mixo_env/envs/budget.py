@@ -28,6 +28,34 @@ STATELESS = tuple(quantity for quantity in RICH if quantity.name != "yaw_rate_st
 
 
 @compiled
+def throw(state: Any, awake: Any, switches: Any, expert_of_camera: Any, cost_ms: Any, spent: Any) -> None:
+    """Throw the switches of scenes that go on: neither paused nor over.
+
+    Args:
+        state: ``(batch,)`` STATE; who will deliver nothing is written there.
+        awake: ``(batch, cameras)`` bool, changed in place.
+        switches: ``(batch, cameras)``; > 0: the image that closes the coming step is to be processed.
+        expert_of_camera: ``(cameras,)`` position of each camera among the experts.
+        cost_ms: ``(cameras,)`` of an image.
+        spent: ``(batch,)`` written: of all images [ms].
+    """
+    for b in range(awake.shape[0]):
+        spent[b] = 0.0
+        s = state[b]
+        if s.step == 0 or s.done:
+            continue
+        silent = 0
+        for c in range(awake.shape[1]):
+            on = switches[b, c] > 0.0
+            if on:
+                spent[b] += cost_ms[c]
+            if not (on and awake[b, c]):
+                silent |= 1 << expert_of_camera[c]
+            awake[b, c] = on
+        s.silent = silent
+
+
+@compiled
 def silence(
     out: Any, state: Any, table: Any, awake: Any, expert_of_camera: Any, columns: Any, experts: int, limit: float
 ) -> None:
@@ -46,14 +74,14 @@ def silence(
     rates, available, disagreement = columns[6], columns[7], columns[8]
     said = np.empty(experts)
     for b in range(out.shape[0]):
-        s = state[b]
-        k = table[s.row]
+        row, silent = state[b].row, state[b].silent
+        substitute = table[row, SUBSTITUTE] / table[row, DT] if silent else 0.0
         for c in range(awake.shape[1]):
             out[b, columns[5] + c] = awake[b, c]
             j = expert_of_camera[c]
-            if not (s.silent >> j) & 1:
+            if not (silent >> j) & 1:
                 continue
-            out[b, rates + j] = min(max(k[SUBSTITUTE] / k[DT], -limit), limit)
+            out[b, rates + j] = min(max(substitute, -limit), limit)
             out[b, columns[0] + c] = 0.0
             if available >= 0:
                 out[b, available + j] = 0.0
@@ -67,7 +95,7 @@ def silence(
                 if out[b, available + j] > 0.0:
                     said[count] = out[b, rates + j]
                     count += 1
-            middle = np.median(said[:count]) if count else k[SUBSTITUTE] / k[DT]
+            middle = np.median(said[:count]) if count else table[row, SUBSTITUTE] / table[row, DT]
             for j in range(experts):
                 out[b, disagreement + j] = out[b, rates + j] - middle
 
@@ -112,11 +140,19 @@ class BudgetReplay(Replay):
         """``(cameras,)``: the row of ``awake`` of a batch entry."""
         return self.awake[entry]
 
-    def switch(self, which: NDArray[np.bool_], on: NDArray[np.bool_]) -> None:
-        """Where ``which``, let the cameras ``on`` ``(batch, cameras)`` process the image closing the coming step."""
-        silent = ~(on & self.awake) @ (1 << self._expert_of_camera)
-        self.state["silent"] = np.where(which, silent, self.state["silent"])
-        self.awake[which] = on[which]
+    def switch(self, switches: NDArray[np.float32], cost_ms: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Let cameras process the image that closes the coming step, where one comes.
+
+        Args:
+            switches: ``(batch, cameras)``; on if > 0.
+            cost_ms: ``(cameras,)`` of an image.
+
+        Returns:
+            ``(batch,)`` milliseconds spent.
+        """
+        spent = np.empty(len(switches))
+        throw(self.state, self.awake, switches, self._expert_of_camera, cost_ms, spent)
+        return spent
 
     def observe_flat(self) -> NDArray[np.float32]:
         """The observation as one fresh array ``(batch, layout.width)``."""
@@ -183,11 +219,7 @@ class BudgetSession(Session):
 
     def _switch(self, actions: NDArray[np.float32], report: NDArray[np.float64], flat: NDArray[np.float32]) -> None:
         """Switch cameras by the sign of an action's last numbers, charge for it, and correct the observation."""
-        state = self.replay.state
-        goes_on = (state["step"] > 0) & ~state["done"]  # neither paused nor over
-        on = actions[:, -self.switches :] > 0.0
-        self.replay.switch(goes_on, on)
-        report[-1] = np.where(goes_on, on @ self.cost_ms, 0.0)
+        report[-1] = self.replay.switch(actions[:, -self.switches :], self.cost_ms)
         report[-2] = -self.settings.price_per_ms * report[-1]
         report[0] += report[-2]
         self.replay.silenced(flat)
