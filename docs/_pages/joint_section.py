@@ -56,7 +56,7 @@ on, JOINT of all four beside JOINT of the other three (`mixo record --cameras`),
 |---|---|---|---|
 | `mixo simulate --situation following_van --seed 201`: CAM_BACK | .00168 | .00119 | .00168 |
 | `mixo simulate --situation lead_truck --seed 202`: CAM_FRONT | .00369 | .00316 | .00286 |
-| `--fault.kind frozen --fault.camera CAM_BACK --seed 203` | .00215 | .00166 | .00168 |
+| `--situation ordinary --fault.kind frozen --fault.camera CAM_BACK --seed 203` | .00215 | .00166 | .00168 |
 
 So a real van behind costs nothing, it is worth hearing the camera between its shadows; a truck ahead costs 10 %, a
 frozen picture nothing.
@@ -74,5 +74,5 @@ to be deceived as well:
 A captured camera costs at most 6 % over the remaining three, a standing picture at most 8 %. Before a camera that had
 contradicted the rig was doubted for a second, two steps of a creeping car in which CAM_BACK took the rig along made
 that 41 %. Smaller lies are harder: with .07 deg a step for 4 s, made by hand, a captured CAM_BACK costs 38 % (+370 %
-before), CAM_FRONT nothing: such a lie lies within what the camera itself errs by in rain, so nothing tells it at once.
+before), CAM_FRONT nothing.
 """
