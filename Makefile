@@ -55,7 +55,7 @@ rendering: .venv/integrations  ## what the simulator draws
 	$(BIN)/python -m pytest -n 2 --dist loadscope -m rendering
 
 site: .venv/integrations  ## README, pages and notebook, followed word by word
-	$(BIN)/python -m pytest -n 2 --dist worksteal -m site
+	$(BIN)/python -m pytest -n 2 --dist load --maxschedchunk 1 -m site
 
 faults: .venv/integrations  ## kills and damage at random
 	$(BIN)/python -m pytest -n 2 --dist loadscope -m faults
