@@ -121,7 +121,7 @@ def test_the_page_is_up_to_date() -> None:
             assert (DOCS / line.split("](")[1].rstrip(")")).exists(), again
 
 
-@pytest.mark.site
+@pytest.mark.rendering
 def test_the_whole_page_is_made_from_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("MIXO_REAL_DATA", raising=False)
     assert OdometryPage(out=tmp_path).run() == 0
