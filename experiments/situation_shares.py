@@ -26,8 +26,6 @@ from numpy.typing import NDArray
 from experiments import stored_figures as stored
 from mixo_env.errors import ConfigurationError, MixoError
 from mixo_env.leaderboard.board import Standings, build
-from mixo_env.leaderboard.crossvalidation import CrossValidation
-from mixo_env.policies.registry import names
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.store import load_recordings
 
@@ -117,9 +115,7 @@ def leaderboard_scores(recordings: Recordings, choice: Choice) -> Scores:
     """The leaderboard of one variant: learned policies are fitted anew, agents left out for their time."""
     chosen = {*choice.plain, *choice.staged}
     scenes = recordings.select(scenes=[scene.name for scene in recordings.scenes if scene.name in chosen])
-    protocol = CrossValidation(scenes)
-    board = build(scenes, policies=[name for name in names(scenes) if not protocol.slow(name)], workers=1)
-    return {standings.track: table_scores(standings) for standings in board.standings}
+    return {standings.track: table_scores(standings) for standings in build(scenes).standings}
 
 
 def kept_scores(recordings: Recordings, choice: Choice, folder: Path) -> Scores:

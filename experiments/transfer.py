@@ -38,10 +38,7 @@ from mixo_env.tables import Cell, Column, Table
 logger = logging.getLogger(__name__)
 
 THERE = ("LINEAR", "HUBER")
-"""LINEAR is fitted where it is scored, too, HUBER where it cannot be brought."""
-
-COMPARED = ("LINEAR", "HUBER", "MIXO", *map("{} THERE".format, THERE))
-"""What everyone is compared with."""
+"""What everyone is compared with, beside MIXO. LINEAR is fitted where scored, too; HUBER where it cannot be brought."""
 
 ORACLE = "MULTICAMERA GT"
 """The bound: how much of the way to it from LINEAR a row goes is what it closes."""
@@ -144,7 +141,7 @@ class Transfer:
             worst = rows["LINEAR"].headline
             closed = {name: _closed(row.headline, worst, best) for name, row in rows.items()}
             lines.append([title, "closed, RTE / ATE", *(closed.get(name, "-") for name in shown)])
-        for other in (name for name in COMPARED if name in rows):
+        for other in (name for name in (*THERE, "MIXO", *map(there, THERE)) if name in rows):
             differences = (found.between(name, other) for name in shown)
             lines.append([title, f"- {other}", *(self._difference(one, logs >= FEWEST_LOGS) for one in differences)])
         return lines
@@ -159,8 +156,10 @@ class Transfer:
 
     def _difference(self, found: Comparison | None, told: bool) -> str:
         """With its p or interval where there are logs enough for one."""
-        if found is None or not told:
-            return "-" if found is None else percent(found.share)
+        if found is None:
+            return "-"
+        if not told:
+            return percent(found.share)
         if self.intervals:
             low, high = (100.0 * end / found.second_error for end in (found.difference.low, found.difference.high))
             return f"{percent(found.share)} [{low:+.1f}, {high:+.1f}]"

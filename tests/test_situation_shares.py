@@ -102,7 +102,7 @@ def test_orders_hand_worked():
 def test_leaderboard_of_a_choice_is_that_of_its_scenes(monkeypatch: pytest.MonkeyPatch):
     recordings = synthetic_recordings(0, steps=120)
     names = [scene.name for scene in recordings.scenes]
-    monkeypatch.setattr(situation_shares, "names", lambda _: ("INERTIAL", "CAM_FRONT"))
+    monkeypatch.setattr("mixo_env.leaderboard.board.policy_names", lambda _: ("INERTIAL", "CAM_FRONT"))
     found = leaderboard_scores(recordings, Choice(1.0, 0, tuple(names[:2]), tuple(names[2:4])))
     assert set(found) == {"PAPER", "VISION", "CONSUMER"}
     assert set(found["VISION"]["rotation_deg_per_m"]) == {"INERTIAL", "CAM_FRONT"}
@@ -118,7 +118,7 @@ def test_study_from_end_to_end(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
         {"situations": {name: "ordinary" if k % 3 else "tight_turn" for k, name in enumerate(names)}, "logs": []},
     )
     monkeypatch.setattr(situation_shares, "load_recordings", lambda _: recordings)
-    monkeypatch.setattr(situation_shares, "names", lambda _: ("INERTIAL", "CAM_FRONT", "CAM_BACK"))
+    monkeypatch.setattr("mixo_env.leaderboard.board.policy_names", lambda _: ("INERTIAL", "CAM_FRONT", "CAM_BACK"))
     out = tmp_path / "study.json"
     kept = tmp_path / "unfinished"
     SituationStudy(sheet=tmp_path / "sheet.json", draws=2, out=out, unfinished=kept).run()

@@ -28,8 +28,8 @@ STATELESS = tuple(quantity for quantity in RICH if quantity.name != "yaw_rate_st
 
 
 @compiled
-def throw(state: Any, awake: Any, switches: Any, expert_of_camera: Any, cost_ms: Any, spent: Any) -> None:
-    """Throw the switches of scenes that go on: neither paused nor over.
+def charge(state: Any, awake: Any, switches: Any, expert_of_camera: Any, cost_ms: Any, spent: Any) -> None:
+    """Switch cameras where a scene goes on, neither paused nor over, and charge for the images they process.
 
     Args:
         state: ``(batch,)`` STATE; who will deliver nothing is written there.
@@ -151,7 +151,7 @@ class BudgetReplay(Replay):
             ``(batch,)`` milliseconds spent.
         """
         spent = np.empty(len(switches))
-        throw(self.state, self.awake, switches, self._expert_of_camera, cost_ms, spent)
+        charge(self.state, self.awake, switches, self._expert_of_camera, cost_ms, spent)
         return spent
 
     def observe_flat(self) -> NDArray[np.float32]:
