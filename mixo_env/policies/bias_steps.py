@@ -7,17 +7,20 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from mixo_env.compiled import compiled
+from mixo_env.compiled import compiled_unchecked, inlined
 from mixo_env.policies.calibration import FloatArray
 from mixo_env.policies.consensus import SAFE, likeliest
 
 
-@compiled
-def invert(matrix: FloatArray) -> None:
-    """Replace a small symmetric positive definite matrix by its inverse (Gauss and Jordan, no pivots needed)."""
-    n = len(matrix)
+Room = tuple[FloatArray, FloatArray, NDArray[np.int64]]
+"""What :func:`step_row` writes on the way, ``(3, n, n)``, ``(5, n)`` and ``(n,)``: it may not make arrays."""
+
+
+@inlined
+def invert(matrix: FloatArray, n: int) -> None:
+    """Replace the leading ``n`` x ``n`` block, symmetric positive definite, by its inverse (Gauss and Jordan)."""
     for k in range(n):
-        pivot = 1.0 / matrix[k, k]
+        pivot = 1.0 / matrix[k, k]  # never small: no others need be looked for
         matrix[k, k] = 1.0
         for j in range(n):
             matrix[k, j] *= pivot
@@ -29,7 +32,7 @@ def invert(matrix: FloatArray) -> None:
                     matrix[i, j] -= factor * matrix[k, j]
 
 
-@compiled
+@inlined
 def predict(bias: FloatArray, covariance: FloatArray, drift: FloatArray, dt: float) -> None:
     """Let biases ``(n,)`` [rad/s] and their covariance ``(n, n)`` age by ``dt``; ``drift`` as in :func:`step_row`."""
     n = len(bias)
@@ -42,32 +45,35 @@ def predict(bias: FloatArray, covariance: FloatArray, drift: FloatArray, dt: flo
         covariance[i, i] += drift[1, i] * drift[1, i] * (1.0 - fade * fade)
 
 
-@compiled
+@inlined
 def update(
-    bias: FloatArray, covariance: FloatArray, apart: FloatArray, noise: FloatArray, who: NDArray[np.int64], dt: float
+    state: tuple[FloatArray, FloatArray], heard: tuple[FloatArray, FloatArray, int], dt: float, room: Room
 ) -> float:
-    """Best yaw increment and, in place, biases and covariance after hearing the experts ``who``.
+    """Best yaw increment and, in place, biases and covariance after hearing some experts.
 
     The increment is unknown beforehand (a flat prior): S = dt^2 P + diag(noise), u = S^-1 1,
     psi = u z / u 1, b += dt P S^-1 (z - psi), P -= dt^2 P (S^-1 - u u' / u 1) P.
 
     Args:
-        bias: ``(n,)`` as predicted [rad/s].
-        covariance: ``(n, n)`` of it.
-        apart: ``(n,)`` increments less the predicted biases [rad].
-        noise: ``(n,)`` variances of the white errors [rad^2].
-        who: ``(m,)`` indices of those that are heard.
+        state: biases ``(n,)`` as predicted [rad/s] and their covariance ``(n, n)``.
+        heard: ``(n,)`` increments less the predicted biases [rad], variances of their white errors [rad^2], and how
+            many are heard: they come first in the third part of ``room``.
         dt: duration of the step [s].
+        room: matrices and the first of the vectors are written.
     """
-    n, m = len(bias), len(who)
-    inverse, row = np.empty((m, m)), np.zeros(m)
+    bias, covariance = state
+    apart, noise, m = heard
+    inverse, cross, gain = room[0][0], room[0][1], room[0][2]
+    row, who = room[1][0], room[2]
+    n = len(bias)
     for i in range(m):
         for j in range(m):
             inverse[i, j] = dt * dt * covariance[who[i], who[j]]
         inverse[i, i] += noise[who[i]]
-    invert(inverse)
+    invert(inverse, m)
     total, psi = 0.0, 0.0
     for i in range(m):
+        row[i] = 0.0
         for j in range(m):
             row[i] += inverse[i, j]
         total += row[i]
@@ -76,7 +82,6 @@ def update(
     for i in range(m):
         for j in range(m):
             inverse[i, j] -= row[i] * row[j] / total
-    cross, gain = np.empty((n, m)), np.empty((n, m))
     for i in range(n):
         for j in range(m):
             cross[i, j] = dt * covariance[i, who[j]]
@@ -97,13 +102,14 @@ def update(
     return psi
 
 
-@compiled
+@inlined
 def step_row(
     state: tuple[FloatArray, FloatArray],
     told: tuple[FloatArray, FloatArray, NDArray[np.bool_]],
     drift: FloatArray,
     dt: float,
     noise: FloatArray,
+    room: Room,
 ) -> float:
     """One step of one scene: the best yaw increment; NaN, with biases only aged, where nobody known votes.
 
@@ -113,13 +119,13 @@ def step_row(
         drift: ``(5, n)`` the arrays of :class:`~mixo_env.policies.drift.Drift` in order.
         dt: duration [s].
         noise: ``(n,)`` written: variances of the white errors as believed [rad^2], infinite for who had no vote.
+        room: see :data:`Room`.
     """
     bias, covariance = state
     values, std, counts = told
     n = len(values)
     predict(bias, covariance, drift, dt)
-    room = np.empty((4, n))  # one allocation in place of four
-    apart, spread, white, weights = room[0], room[1], room[2], room[3]
+    apart, spread, white, weights, who = room[1][1], room[1][2], room[1][3], room[1][4], room[2]
     for i in range(n):
         noise[i] = math.inf
         apart[i] = values[i] - dt * (drift[0, i] + bias[i])
@@ -132,7 +138,7 @@ def step_row(
         white[i] += drift[4, i] * drift[4, i] * centre * centre
         spread[i] = math.sqrt(white[i] + dt * dt * covariance[i, i])
     centre = likeliest(apart, spread, counts, SAFE, weights)
-    who, heard = np.empty(n, np.int64), 0
+    heard = 0
     for i in range(n):
         if weights[i] == 0.0:
             continue
@@ -141,10 +147,10 @@ def step_row(
         r = (apart[i] - centre) / spread[i]
         trust = min(1.0, (SAFE + 1.0) / (SAFE + r * r))
         noise[i] = spread[i] * spread[i] / trust - dt * dt * covariance[i, i]
-    return update(bias, covariance, apart, noise, who[:heard], dt)
+    return update(state, (apart, noise, heard), dt, room)
 
 
-@compiled
+@inlined
 def point_at(target: float, values: FloatArray, counts: NDArray[np.bool_], weights: FloatArray) -> None:
     """Write convex ``weights`` ``(n,)`` of the two votes around ``target``, so that they mix to it.
 
@@ -165,7 +171,7 @@ def point_at(target: float, values: FloatArray, counts: NDArray[np.bool_], weigh
     weights[low] = 1.0 - weights[high]
 
 
-@compiled
+@compiled_unchecked
 def step_batch(
     state: tuple[FloatArray, FloatArray],
     told: tuple[FloatArray, FloatArray, NDArray[np.bool_]],
@@ -176,10 +182,10 @@ def step_batch(
     """:func:`step_row` of every scene, as weights ``(batch, n)``; whether all have been decided."""
     bias, covariance = state
     values, std, counts = told
-    everywhere = True
-    noise = np.empty(values.shape[1])
+    everywhere, n = True, values.shape[1]
+    noise, room = np.empty(n), (np.empty((3, n, n)), np.empty((5, n)), np.empty(n, np.int64))
     for b in range(len(values)):
-        target = step_row((bias[b], covariance[b]), (values[b], std[b], counts[b]), drift, dt[b], noise)
+        target = step_row((bias[b], covariance[b]), (values[b], std[b], counts[b]), drift, dt[b], noise, room)
         if math.isnan(target):
             weights[b] = 0.0
             everywhere = False

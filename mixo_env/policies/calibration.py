@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mixo_env.compiled import compiled
+from mixo_env.compiled import compiled, inlined
 from mixo_env.geometry import MAD_TO_SIGMA
 from mixo_env.policies.policy import Observation
 from mixo_env.policies.robust import SMALLEST_SCALE_RAD
@@ -155,10 +155,16 @@ def _scale(
     stated: NDArray[np.float32], dt: NDArray[np.float32], std_rad: FloatArray, factor: FloatArray, std: FloatArray
 ) -> None:
     for b in range(len(stated)):
-        for e in range(len(std_rad)):
-            std[b, e] = std_rad[e]
-            if stated[b, e] > 0.0 and factor[e] < np.inf:
-                std[b, e] = max(factor[e] * stated[b, e] * dt[b, 0], SMALLEST_SCALE_RAD)
+        scale_row(stated[b], dt[b, 0], std_rad, factor, std[b])
+
+
+@inlined
+def scale_row(stated: NDArray[np.float32], dt: float, std_rad: FloatArray, factor: FloatArray, std: FloatArray) -> None:
+    """Write :meth:`Calibration.std` of one scene; all ``(experts,)``."""
+    for e in range(len(std_rad)):
+        std[e] = std_rad[e]
+        if stated[e] > 0.0 and factor[e] < np.inf:
+            std[e] = max(factor[e] * stated[e] * dt, SMALLEST_SCALE_RAD)
 
 
 def robust_std(values: FloatArray) -> FloatArray:

@@ -9,14 +9,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mixo_env.compiled import compiled
-from mixo_env.policies.calibration import Calibration, Past
+from mixo_env.compiled import compiled, compiled_unchecked, inlined
+from mixo_env.policies.calibration import Calibration, Past, scale_row
 from mixo_env.policies.inner import by_log, inner_folds
 from mixo_env.policies.policy import Observation, Policy, Weights
-from mixo_env.policies.robust import believable, median_weights
+from mixo_env.policies.robust import believable, believe_row, median_weights
 from mixo_env.recordings.collection import Recordings
 
 FloatArray = NDArray[np.float64]
+Single = NDArray[np.float32]
 
 DEGREES_OF_FREEDOM = (1.0, 2.0, 3.0, 5.0, 8.0, 16.0)
 """Choices of nu: from Cauchy's tails to nearly Gaussian ones."""
@@ -26,10 +27,10 @@ ITERATIONS = 20
 SETTLED = 1e-4
 """The climb ends with a move of less than so many of the smallest standard deviation."""
 LARGEST_PRODUCT = 1e100
-"""Of likelihoods, before its logarithm is taken."""
+"""Of inverse likelihoods. Beyond it the product is folded: divided by it, and the folds are counted."""
 
 
-@compiled
+@inlined
 def likeliest(values: FloatArray, std: FloatArray, counts: NDArray[np.bool_], nu: float, weights: FloatArray) -> float:
     """Most likely common value of ``values`` with errors ``std`` x Student's t of ``nu`` degrees of freedom.
 
@@ -47,7 +48,7 @@ def likeliest(values: FloatArray, std: FloatArray, counts: NDArray[np.bool_], nu
         The value; NaN where nobody votes.
     """
     n = len(values)
-    centre, least, sharpest = math.nan, math.inf, math.inf
+    centre, least, fewest, sharpest = math.nan, math.inf, n, math.inf
     for j in range(n):
         weights[j] = 0.0
         if counts[j] and std[j] < math.inf:
@@ -55,18 +56,17 @@ def likeliest(values: FloatArray, std: FloatArray, counts: NDArray[np.bool_], nu
             sharpest = min(sharpest, std[j])
     for i in range(n):
         if weights[i] > 0.0:
-            cost, product = 0.0, 1.0  # a logarithm costs more than all else in the loop
+            folds, product = 0, 1.0
             for j in range(n):
                 if weights[j] > 0.0:
                     apart = values[j] - values[i]
                     product *= 1.0 + apart * apart * weights[j]
                     if product > LARGEST_PRODUCT:
-                        cost, product = cost + math.log(product), 1.0
-            cost += math.log(product)
-            if cost < least:
-                centre, least = values[i], cost
-    if least == math.inf:
-        return math.nan
+                        folds, product = folds + 1, product / LARGEST_PRODUCT
+            if product < math.inf and (folds < fewest or (folds == fewest and product < least)):
+                centre, least, fewest = values[i], product, folds
+    if math.isnan(centre):
+        return centre
     total = 0.0
     for _ in range(ITERATIONS):
         total, moved = 0.0, 0.0
@@ -103,15 +103,47 @@ def agreement(observation: Observation, calibration: Calibration) -> tuple[Float
         ``(batch, experts)`` deviations from the STUDENT-T consensus with nu = 5 over calibrated standard deviations;
         the standard deviations [rad]; who votes with a known one (where nobody does: all that vote, with 1 rad).
     """
-    increments = observation["yaw_rates"].astype(np.float64) * observation["dt"]
-    counts, std = believable(observation), calibration.std(observation)
-    weights = consensus_weights(increments, std, counts, SAFE)
-    known = counts & np.isfinite(std)
-    somebody = known.any(axis=1, keepdims=True)
-    if not somebody.all():
-        known, std = np.where(somebody, known, counts), np.where(somebody, std, 1.0)
-    apart = increments - np.sum(weights * increments, axis=1, keepdims=True)
-    return apart / std, std, known
+    rates = observation["yaw_rates"]
+    apart, std, known = np.empty(rates.shape), np.empty(rates.shape), np.empty(rates.shape, np.bool_)
+    seen = rates, observation["available"], observation["yaw_rate_std"], observation["dt"]
+    if not _agree(seen, calibration.std_rad, calibration.factor, apart, std, known):
+        undecided = np.isnan(apart[:, 0])
+        increments = (rates.astype(np.float64) * observation["dt"])[undecided]
+        weights = median_weights(increments, known[undecided])
+        apart[undecided] = increments - np.sum(weights * increments, axis=1, keepdims=True)
+    return apart, std, known
+
+
+@compiled_unchecked
+def _agree(
+    seen: tuple[Single, Single, Single, Single],
+    std_rad: FloatArray,
+    factor: FloatArray,
+    apart: FloatArray,
+    std: FloatArray,
+    known: NDArray[np.bool_],
+) -> bool:
+    """Write what :func:`agreement` returns; whether everywhere: NaN where the median must say how far apart they are."""
+    rates, available, stated, dt = seen
+    batch, experts = rates.shape
+    values, weights = np.empty(experts), np.empty(experts)
+    everywhere = True
+    for b in range(batch):
+        believe_row(rates[b], available[b], known[b])
+        scale_row(stated[b], dt[b, 0], std_rad, factor, std[b])
+        for e in range(experts):
+            values[e] = np.float64(rates[b, e]) * dt[b, 0]
+        if math.isnan(likeliest(values, std[b], known[b], SAFE, weights)):
+            everywhere = False
+            std[b], apart[b] = 1.0, math.nan
+            continue
+        centre = 0.0
+        for e in range(experts):
+            centre += weights[e] * values[e]
+        for e in range(experts):
+            apart[b, e] = (values[e] - centre) / std[b, e]
+            known[b, e] &= std[b, e] < math.inf
+    return everywhere
 
 
 def consensus_weights(values: FloatArray, std: FloatArray, counts: NDArray[np.bool_], nu: float) -> Weights:

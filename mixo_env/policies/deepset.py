@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from mixo_env.compiled import compiled, inlined
+from mixo_env.compiled import compiled_unchecked, inlined
 from mixo_env.policies.lessons import Lessons
 
 if TYPE_CHECKING:
@@ -23,6 +23,9 @@ FloatArray = NDArray[np.float64]
 Single = NDArray[np.float32]
 Layers = tuple[tuple[Single, Single], ...]
 """Weight ``(inputs, outputs)`` and bias of the four dense layers."""
+
+AT_ONCE = 64
+"""Scenes that the network is run for side by side: vector units are full, and all that it holds fits the first cache."""
 
 LEAST_WEIGHT = 1e-9
 """Of the consensus, whose logarithm is taken."""
@@ -52,67 +55,93 @@ def weigh(layers: Layers, told: tuple[Single, Single, FloatArray], voting: NDArr
 
 
 @inlined
-def _dense(x: Single, weight: Single, bias: Single, out: Single) -> None:
-    """Write ``x W + b``."""
+def _dense(x: Single, weight: Single, out: Single) -> None:
+    """Add ``W' x`` to ``out``, scenes side by side: ``x`` is ``(inputs, scenes)``, ``out`` ``(outputs, scenes)``."""
     whole = len(x) // 4 * 4
     for j in range(len(out)):
-        out[j] = bias[j]
-    for i in range(0, whole, 4):  # four at once: each number of ``out`` is loaded and stored a quarter as often
-        for j in range(len(out)):
-            first = x[i] * weight[i, j] + x[i + 1] * weight[i + 1, j]
-            out[j] += first + (x[i + 2] * weight[i + 2, j] + x[i + 3] * weight[i + 3, j])
-    for i in range(whole, len(x)):
-        for j in range(len(out)):
-            out[j] += x[i] * weight[i, j]
+        for i in range(0, whole, 4):  # four at once: each number of ``out`` is loaded and stored a quarter as often
+            for s in range(out.shape[1]):
+                first = x[i, s] * weight[i, j] + x[i + 1, s] * weight[i + 1, j]
+                out[j, s] += first + (x[i + 2, s] * weight[i + 2, j] + x[i + 3, s] * weight[i + 3, j])
+        for i in range(whole, len(x)):
+            for s in range(out.shape[1]):
+                out[j, s] += x[i, s] * weight[i, j]
 
 
 @inlined
 def _rectify(x: Single) -> None:
     for j in range(len(x)):
-        x[j] = max(x[j], np.float32(0.0))
+        for s in range(x.shape[1]):
+            x[j, s] = max(x[j, s], np.float32(0.0))
 
 
-@compiled
+@inlined
+def _fill(bias: Single, out: Single) -> None:
+    for j in range(len(out)):
+        for s in range(out.shape[1]):
+            out[j, s] = bias[j]
+
+
+@compiled_unchecked
 def _weigh(
     told: tuple[Single, Single, FloatArray], voting: NDArray[np.bool_], layers: Layers, weights: FloatArray
 ) -> None:
-    """:func:`weigh`; sums run along the outputs of a layer, several at once."""
+    """:func:`weigh`; arrays of what happens inside have the scenes last."""
     signals, whole, consensus = told
     (first, a), (second, b), (third, c), (last, d) = layers
     batch, experts, length = signals.shape
-    width = len(a)
-    base, one = np.empty(width, np.float32), np.empty(width, np.float32)
-    pooled, hidden = np.empty(width, np.float32), np.empty((experts, width), np.float32)
-    number = np.empty(1, np.float32)
-    for k in range(batch):
-        _dense(whole[k], first[length:], a, base)
-        pooled[:] = 0.0
-        count = np.float32(0.0)
+    width, scenes = len(a), min(batch, AT_ONCE)
+    token, step = np.empty((length, scenes), np.float32), np.empty((whole.shape[1], scenes), np.float32)
+    base, one = np.empty((width, scenes), np.float32), np.empty((width, scenes), np.float32)
+    hidden, pooled = np.empty((experts, width, scenes), np.float32), np.empty((width, scenes), np.float32)
+    votes, count = np.empty(scenes, np.float32), np.empty(scenes, np.float32)
+    number = np.empty((experts, 1, scenes), np.float32)
+    for start in range(0, batch, AT_ONCE):
+        k = min(start, batch - scenes)  # the last ones overlap those before
+        for s in range(scenes):
+            for i in range(len(step)):
+                step[i, s] = whole[k + s, i]
+        _fill(a, base)
+        _dense(step, first[length:], base)
+        pooled[:], count[:] = 0.0, 0.0
         for e in range(experts):
-            _dense(signals[k, e], first[:length], base, one)
+            for s in range(scenes):
+                for i in range(length):
+                    token[i, s] = signals[k + s, e, i]
+            one[:] = base
+            _dense(token, first[:length], one)
             _rectify(one)
-            _dense(one, second, b, hidden[e])
+            _fill(b, hidden[e])
+            _dense(one, second, hidden[e])
             _rectify(hidden[e])
-            if voting[k, e]:
-                count += np.float32(1.0)
-                for j in range(width):
-                    pooled[j] += hidden[e, j]
+            for s in range(scenes):
+                votes[s] = 1.0 if voting[k + s, e] else 0.0
+                count[s] += votes[s]
+            for j in range(width):
+                for s in range(scenes):
+                    pooled[j, s] += votes[s] * hidden[e, j, s]
         for j in range(width):
-            pooled[j] /= count
-        _dense(pooled, third[width:], c, base)
-        largest = -np.inf
+            for s in range(scenes):
+                pooled[j, s] /= count[s]
+        _fill(c, base)
+        _dense(pooled, third[width:], base)
         for e in range(experts):
-            _dense(hidden[e], third[:width], base, one)
+            one[:] = base
+            _dense(hidden[e], third[:width], one)
             _rectify(one)
-            _dense(one, last, d, number)
-            weights[k, e] = math.log(max(consensus[k, e], LEAST_WEIGHT)) + number[0] if voting[k, e] else -np.inf
-            largest = max(largest, weights[k, e])
-        total = 0.0
-        for e in range(experts):
-            weights[k, e] = math.exp(weights[k, e] - largest)
-            total += weights[k, e]
-        for e in range(experts):
-            weights[k, e] /= total
+            _fill(d, number[e])
+            _dense(one, last, number[e])
+        for s in range(scenes):
+            largest, total = -np.inf, 0.0
+            for e in range(experts):
+                if voting[k + s, e]:
+                    largest = max(largest, number[e, 0, s])
+            for e in range(experts):
+                grown = math.exp(number[e, 0, s] - largest) if voting[k + s, e] else 0.0
+                weights[k + s, e] = max(consensus[k + s, e], LEAST_WEIGHT) * grown
+                total += weights[k + s, e]
+            for e in range(experts):
+                weights[k + s, e] /= total
 
 
 def train(

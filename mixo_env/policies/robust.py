@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mixo_env.compiled import compiled
+from mixo_env.compiled import compiled, compiled_unchecked, inlined
 from mixo_env.envs.observation import PAPER
 from mixo_env.geometry import MAD_TO_SIGMA
 from mixo_env.policies.policy import Observation, Policy, Weights
@@ -49,15 +49,21 @@ def believable(observation: Observation) -> NDArray[np.bool_]:
 @compiled
 def _believe(rates: NDArray[np.float32], available: NDArray[np.float32], counted: NDArray[np.bool_]) -> None:
     for b in range(len(rates)):
-        somebody = inside = False
-        for e in range(rates.shape[1]):
-            somebody |= available[b, e] > 0.0
-        for e in range(rates.shape[1]):
-            counted[b, e] = (available[b, e] > 0.0 or not somebody) and abs(rates[b, e]) < RATE_BOUND
-            inside |= counted[b, e]
-        if not inside:
-            for e in range(rates.shape[1]):
-                counted[b, e] = available[b, e] > 0.0 or not somebody
+        believe_row(rates[b], available[b], counted[b])
+
+
+@inlined
+def believe_row(rates: NDArray[np.float32], available: NDArray[np.float32], counted: NDArray[np.bool_]) -> None:
+    """Write :func:`believable` of one scene; all ``(experts,)``."""
+    somebody = inside = False
+    for e in range(len(rates)):
+        somebody |= available[e] > 0.0
+    for e in range(len(rates)):
+        counted[e] = (available[e] > 0.0 or not somebody) and abs(rates[e]) < RATE_BOUND
+        inside |= counted[e]
+    if not inside:
+        for e in range(len(rates)):
+            counted[e] = available[e] > 0.0 or not somebody
 
 
 def median_weights(values: NDArray[np.floating[Any]], voting: NDArray[np.bool_]) -> Weights:
@@ -119,15 +125,7 @@ class Huber(Policy):
         increments = observation["yaw_rates"].astype(np.float64) * observation["dt"]
         voting = votes(observation)
         weights = median_weights(increments, voting)
-        # Where only experts of infinite scale vote, the median stands.
-        usable = voting & np.isfinite(self._scale_rad)
-        decided = usable.any(axis=1)
-        for _ in range(ITERATIONS):
-            estimate = np.sum(weights * increments, axis=1, keepdims=True)
-            residual = np.abs(increments - estimate) / self._scale_rad
-            pull = np.where(usable, np.minimum(1.0, EFFICIENCY_95 / np.maximum(residual, EFFICIENCY_95)), 0.0)
-            pull /= self._scale_rad**2
-            weights[decided] = (pull / np.maximum(pull.sum(axis=1, keepdims=True), np.finfo(float).tiny))[decided]
+        _reweigh(increments, voting, self._scale_rad, weights)
         return weights
 
     def tensors(self) -> dict[str, NDArray[Any]]:
@@ -144,3 +142,28 @@ class Huber(Policy):
         known = self._scale_rad[np.isfinite(self._scale_rad)]  # an infinite one means no weight
         if np.any(self._scale_rad < SMALLEST_SCALE_RAD) or np.any(known > LARGEST):
             raise ValueError(f"expected scales of errors from {SMALLEST_SCALE_RAD:g} to {LARGEST:g} rad, or infinite")
+
+
+@compiled_unchecked
+def _reweigh(
+    values: NDArray[np.float64], voting: NDArray[np.bool_], scale: NDArray[np.float64], weights: Weights
+) -> None:
+    """Replace weights ``(batch, n)`` by Huber's; where only experts of infinite scale vote, they stand."""
+    experts = len(scale)
+    for b in range(len(values)):
+        usable = False
+        for e in range(experts):
+            usable |= voting[b, e] and scale[e] < np.inf
+        if not usable:
+            continue
+        for _ in range(ITERATIONS):
+            estimate, total = 0.0, 0.0
+            for e in range(experts):
+                estimate += weights[b, e] * values[b, e]
+            for e in range(experts):
+                residual = abs(values[b, e] - estimate) / scale[e]
+                pull = EFFICIENCY_95 / max(residual, EFFICIENCY_95) / (scale[e] * scale[e])
+                weights[b, e] = pull if voting[b, e] else 0.0
+                total += weights[b, e]
+            for e in range(experts):
+                weights[b, e] /= total

@@ -34,7 +34,7 @@ def backward_gain(covariance: FloatArray, drift: FloatArray, dt: float) -> Float
         for j in range(n):
             following[i, j] = fade[i] * covariance[i, j] * fade[j]
         following[i, i] += drift[1, i] ** 2 * (1.0 - fade[i] * fade[i])
-    invert(following)
+    invert(following, n)
     gain = np.zeros((n, n))
     for i in range(n):
         for j in range(n):
@@ -65,11 +65,14 @@ def remember(
     biases, noises, gains, fades, active = ring
     bias, covariance = state
     values, std, counts = told
+    n = values.shape[1]
+    room = np.empty((3, n, n)), np.empty((5, n)), np.empty(n, np.int64)
     for b in range(len(values)):
         if active[slot, b]:
             gains[slot, b] = backward_gain(covariance[b], drift, dt[b])
             fades[slot, b] = np.exp(-dt[b] / drift[2])
-            step_row((bias[b], covariance[b]), (values[b], std[b], counts[b]), drift, dt[b], noises[slot, b])
+            here = values[b], std[b], counts[b]
+            step_row((bias[b], covariance[b]), here, drift, dt[b], noises[slot, b], room)
             biases[slot, b] = bias[b]
 
 

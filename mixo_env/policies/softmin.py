@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from mixo_env.compiled import compiled_unchecked
 from mixo_env.fusion import FloatArray
 from mixo_env.policies.calibrated import Calibrated
 from mixo_env.policies.consensus import agreement
@@ -33,9 +34,16 @@ class Recent:
 
     def update(self, apart: FloatArray, known: NDArray[np.bool_]) -> FloatArray:
         """The scales with the present step counted in; arguments as :func:`agreement` gives them."""
-        change = (MEAN_TO_SIGMA * np.abs(apart) - self._scale) / MEMORY
-        self._scale = self._scale + np.where(known, change, 0.0)
+        _count_in(apart, known, self._scale)
         return self._scale
+
+
+@compiled_unchecked
+def _count_in(apart: FloatArray, known: NDArray[np.bool_], scale: FloatArray) -> None:
+    for b in range(len(scale)):
+        for e in range(scale.shape[1]):
+            if known[b, e]:
+                scale[b, e] += (MEAN_TO_SIGMA * abs(apart[b, e]) - scale[b, e]) / MEMORY
 
 
 class Softmin(Calibrated):

@@ -12,11 +12,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from mixo_env.compiled import compiled, inlined
-from mixo_env.policies.calibration import Calibration
+from mixo_env.compiled import compiled_unchecked, inlined
+from mixo_env.policies.calibration import Calibration, scale_row
 from mixo_env.policies.consensus import likeliest
 from mixo_env.policies.policy import Observation
-from mixo_env.policies.robust import believable
+from mixo_env.policies.robust import believe_row
 
 FloatArray = NDArray[np.float64]
 
@@ -96,16 +96,35 @@ class Tokens(NamedTuple):
 
 def read(observation: Observation, calibration: Calibration) -> Seen:
     """Pick what becomes tokens."""
-    dt = observation["dt"].astype(np.float64)
-    units = dt / UNIT_RAD
-    return Seen(
-        observation["yaw_rates"] * units,
-        observation["yaw_rate_std"] * units,
-        calibration.std(observation) / UNIT_RAD,
-        believable(observation),
+    shape = observation["yaw_rates"].shape
+    seen = Seen(
+        *np.empty((3, *shape)),
+        np.empty(shape, np.bool_),
         np.array([observation[name] for name in ("matches", "inliers", "residual_px", "flow_px")]),
-        np.concatenate([observation["speed"], dt], axis=1, dtype=np.float64),
+        np.empty((shape[0], 2)),
     )
+    _read(tuple(observation[name] for name in _READ), calibration.std_rad, calibration.factor, seen)
+    return seen
+
+
+_READ = ("yaw_rates", "available", "yaw_rate_std", "speed", "dt")
+
+
+@compiled_unchecked
+def _read(
+    told: tuple[NDArray[np.float32], ...], std_rad: FloatArray, factor: FloatArray, seen: Seen
+) -> None:
+    """Write all of ``seen`` but the counts; ``told`` in the order of ``_READ``."""
+    rates, available, stated, speed, dt = told
+    for b in range(len(rates)):
+        believe_row(rates[b], available[b], seen.voting[b])
+        scale_row(stated[b], dt[b, 0], std_rad, factor, seen.std[b])
+        unit = np.float64(dt[b, 0]) / UNIT_RAD
+        for e in range(rates.shape[1]):
+            seen.increment[b, e] = rates[b, e] * unit
+            seen.stated[b, e] = stated[b, e] * unit
+            seen.std[b, e] /= UNIT_RAD
+        seen.step[b, 0], seen.step[b, 1] = speed[b, 0], dt[b, 0]
 
 
 def tokenise(seen: Seen, memory: Memory) -> Tokens:
@@ -127,7 +146,7 @@ def _asinh(x: float, inside: NDArray[np.float32], factor: NDArray[np.float32], k
     factor[k] = math.copysign(1.0, x)
 
 
-@compiled
+@compiled_unchecked
 def _tokenise(
     seen: Seen,
     memory: Memory,
