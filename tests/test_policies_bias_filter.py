@@ -62,8 +62,11 @@ def test_inverse_is_that_of_numpy() -> None:
         a = rng.standard_normal((n, n))
         matrix = a @ a.T + np.eye(n)
         expected = np.linalg.inv(matrix)
-        invert(matrix)
-        np.testing.assert_allclose(matrix, expected, rtol=1e-9, atol=1e-12)
+        larger = np.full((n + 1, n + 1), np.nan)
+        larger[:n, :n] = matrix
+        invert(larger, n)
+        np.testing.assert_allclose(larger[:n, :n], expected, rtol=1e-9, atol=1e-12)
+        assert np.isnan(larger[n]).all()
 
 
 def test_weights_of_two_votes_mix_to_the_target_inside_what_votes_span() -> None:
@@ -86,6 +89,7 @@ def test_filter_is_that_of_filterpy_with_a_free_yaw_increment() -> None:
     drift = drift_of([0.02, 0.05, 0.01], [1.0, 5.0, 30.0])
     constants = np.stack(list(drift.tensors().values()))
     bias, covariance = np.zeros(3), np.diag(drift.slow_radps**2)
+    room = np.empty((3, 3, 3)), np.empty((5, 3)), np.empty(3, np.int64)
     theirs = KalmanFilter(dim_x=4, dim_z=3)
     theirs.x, theirs.P = np.zeros((4, 1)), np.diag([*drift.slow_radps**2, 1.0])
     fade = np.exp(-DT / drift.memory_s)
@@ -93,7 +97,7 @@ def test_filter_is_that_of_filterpy_with_a_free_yaw_increment() -> None:
         dt_rates = rng.standard_normal(3) * 2e-3 + 0.01
         noise = np.empty(3)
         told = dt_rates, np.full(3, 2e-3), np.ones(3, bool)
-        psi = step_row((bias, covariance), told, constants, DT, noise)
+        psi = step_row((bias, covariance), told, constants, DT, noise, room)
         theirs.predict(
             F=np.diag([*fade, 0.0]), Q=np.diag([*(drift.slow_radps**2 * (1 - fade**2)), 1e4])
         )  # the increment is forgotten and may be anything

@@ -66,6 +66,18 @@ def test_consensus_of_two_camps_is_the_likelier_one_not_their_middle() -> None:
     assert float((consensus_weights(values, sure, np.ones((1, 5), bool), 5.0) * values).sum()) < 0.5
 
 
+def test_where_only_strangers_vote_agreement_is_with_their_median() -> None:
+    calibration = Calibration(np.array([np.inf, np.inf, np.inf, 1e-3]), np.full(4, np.inf))
+    one = observation([0.1, 0.2, 0.5, 0.1], [1, 1, 1, 0])
+    other = observation([0.1, 0.2, 0.5, 0.3])
+    both = {name: np.concatenate([values, other[name]]) for name, values in one.items()}
+    apart, std, known = agreement(both, calibration)
+    np.testing.assert_allclose(apart[0], np.array([-0.1, 0.0, 0.3, -0.1]) * DT, atol=1e-8)
+    assert (std[0] == 1.0).all()
+    assert known.tolist() == [[True, True, True, False], [False, False, False, True]]
+    assert apart[1].tolist() == [0.0, 0.0, 0.0, 0.0]  # in standard deviations, which strangers have none of
+
+
 def test_products_of_many_likelihoods_do_not_overflow() -> None:
     """30 sure votes against 31 less sure ones, too far away for the product of their likelihoods to be a number."""
     values, std = np.repeat([0.0, 1e8], [30, 31])[None], np.repeat([0.01, 1.0], [30, 31])[None]

@@ -76,6 +76,16 @@ def test_who_does_not_vote_changes_nothing() -> None:
     np.testing.assert_array_equal(same, weigh(layers(0), (signals, whole, consensus), voting))
 
 
+@pytest.mark.parametrize("batch", [2, deepset.AT_ONCE - 1, deepset.AT_ONCE, 3 * deepset.AT_ONCE + 5])
+def test_a_scene_is_weighed_as_if_it_were_alone(batch: int) -> None:
+    signals, whole, consensus, voting = told(np.random.default_rng(3), batch, 5)
+    together = weigh(layers(1), (signals, whole, consensus), voting)
+    for k in range(batch):
+        one = slice(k, k + 1)
+        alone = weigh(layers(1), (signals[one], whole[one], consensus[one]), voting[one])
+        np.testing.assert_array_equal(alone, together[one])
+
+
 def test_the_compiled_network_is_that_of_torch_before_it_was_folded() -> None:
     torch.manual_seed(0)
     network = deepset._network(SIGNALS + WHOLE, 8)

@@ -192,6 +192,8 @@ def test_missing_files(folder, tmp_path):
 def test_unknown_name_lists_the_bundled_recordings():
     with pytest.raises(RecordingError, match="no folder 'mixocty' and unknown recording 'mixocty'"):
         load_recordings("mixocty")
+    with pytest.raises(RecordingError, match=r"no folder 'mixocity'; .* pass its name as a string"):
+        load_recordings(Path("mixocity"))
 
 
 def test_other_columns_are_not_saved(tmp_path):

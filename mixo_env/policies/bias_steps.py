@@ -11,7 +11,6 @@ from mixo_env.compiled import compiled_unchecked, inlined
 from mixo_env.policies.calibration import FloatArray
 from mixo_env.policies.consensus import SAFE, likeliest
 
-
 Room = tuple[FloatArray, FloatArray, NDArray[np.int64]]
 """What :func:`step_row` writes on the way, ``(3, n, n)``, ``(5, n)`` and ``(n,)``: it may not make arrays."""
 

@@ -123,7 +123,7 @@ def _agree(
     std: FloatArray,
     known: NDArray[np.bool_],
 ) -> bool:
-    """Write what :func:`agreement` returns; whether everywhere: NaN where the median must say how far apart they are."""
+    """Write what :func:`agreement` returns; false, and NaN how far apart, where the median must decide."""
     rates, available, stated, dt = seen
     batch, experts = rates.shape
     values, weights = np.empty(experts), np.empty(experts)

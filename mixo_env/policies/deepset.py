@@ -24,8 +24,8 @@ Single = NDArray[np.float32]
 Layers = tuple[tuple[Single, Single], ...]
 """Weight ``(inputs, outputs)`` and bias of the four dense layers."""
 
-AT_ONCE = 64
-"""Scenes that the network is run for side by side: vector units are full, and all that it holds fits the first cache."""
+AT_ONCE = 32
+"""Scenes whose tokens pass the network side by side: vector units are full, and all fits into the first cache."""
 
 LEAST_WEIGHT = 1e-9
 """Of the consensus, whose logarithm is taken."""
@@ -56,30 +56,39 @@ def weigh(layers: Layers, told: tuple[Single, Single, FloatArray], voting: NDArr
 
 @inlined
 def _dense(x: Single, weight: Single, out: Single) -> None:
-    """Add ``W' x`` to ``out``, scenes side by side: ``x`` is ``(inputs, scenes)``, ``out`` ``(outputs, scenes)``."""
+    """Add ``W' x`` to ``out``, tokens side by side: ``x`` is ``(inputs, tokens)``, ``out`` ``(outputs, tokens)``."""
     whole = len(x) // 4 * 4
     for j in range(len(out)):
         for i in range(0, whole, 4):  # four at once: each number of ``out`` is loaded and stored a quarter as often
-            for s in range(out.shape[1]):
-                first = x[i, s] * weight[i, j] + x[i + 1, s] * weight[i + 1, j]
-                out[j, s] += first + (x[i + 2, s] * weight[i + 2, j] + x[i + 3, s] * weight[i + 3, j])
+            for t in range(out.shape[1]):
+                first = x[i, t] * weight[i, j] + x[i + 1, t] * weight[i + 1, j]
+                out[j, t] += first + (x[i + 2, t] * weight[i + 2, j] + x[i + 3, t] * weight[i + 3, j])
         for i in range(whole, len(x)):
-            for s in range(out.shape[1]):
-                out[j, s] += x[i, s] * weight[i, j]
-
-
-@inlined
-def _rectify(x: Single) -> None:
-    for j in range(len(x)):
-        for s in range(x.shape[1]):
-            x[j, s] = max(x[j, s], np.float32(0.0))
+            for t in range(out.shape[1]):
+                out[j, t] += x[i, t] * weight[i, j]
 
 
 @inlined
 def _fill(bias: Single, out: Single) -> None:
     for j in range(len(out)):
-        for s in range(out.shape[1]):
-            out[j, s] = bias[j]
+        for t in range(out.shape[1]):
+            out[j, t] = bias[j]
+
+
+@inlined
+def _share(scene: Single, tokens: Single) -> None:
+    """Write what is the same for all experts of a scene, ``(outputs, scenes)``, to ``(outputs, experts, scenes)``."""
+    for j in range(len(tokens)):
+        for e in range(tokens.shape[1]):
+            for s in range(tokens.shape[2]):
+                tokens[j, e, s] = scene[j, s]
+
+
+@inlined
+def _rectify(x: Single) -> None:
+    for j in range(len(x)):
+        for t in range(x.shape[1]):
+            x[j, t] = max(x[j, t], np.float32(0.0))
 
 
 @compiled_unchecked
@@ -91,53 +100,52 @@ def _weigh(
     (first, a), (second, b), (third, c), (last, d) = layers
     batch, experts, length = signals.shape
     width, scenes = len(a), min(batch, AT_ONCE)
-    token, step = np.empty((length, scenes), np.float32), np.empty((whole.shape[1], scenes), np.float32)
-    base, one = np.empty((width, scenes), np.float32), np.empty((width, scenes), np.float32)
-    hidden, pooled = np.empty((experts, width, scenes), np.float32), np.empty((width, scenes), np.float32)
-    votes, count = np.empty(scenes, np.float32), np.empty(scenes, np.float32)
-    number = np.empty((experts, 1, scenes), np.float32)
+    tokens = experts * scenes
+    x, step = np.empty((length, experts, scenes), np.float32), np.empty((whole.shape[1], scenes), np.float32)
+    one, two = np.empty((width, experts, scenes), np.float32), np.empty((width, experts, scenes), np.float32)
+    base, pooled = np.empty((width, scenes), np.float32), np.empty((width, scenes), np.float32)
+    votes, count = np.empty((experts, scenes), np.float32), np.empty(scenes, np.float32)
+    number = np.empty((1, tokens), np.float32)
+    flat_x, flat_one, flat_two = x.reshape(length, tokens), one.reshape(width, tokens), two.reshape(width, tokens)
     for start in range(0, batch, AT_ONCE):
         k = min(start, batch - scenes)  # the last ones overlap those before
+        count[:], pooled[:] = 0.0, 0.0
         for s in range(scenes):
             for i in range(len(step)):
                 step[i, s] = whole[k + s, i]
+            for e in range(experts):
+                votes[e, s] = 1.0 if voting[k + s, e] else 0.0
+                count[s] += votes[e, s]
+                for i in range(length):
+                    x[i, e, s] = signals[k + s, e, i]
         _fill(a, base)
         _dense(step, first[length:], base)
-        pooled[:], count[:] = 0.0, 0.0
-        for e in range(experts):
-            for s in range(scenes):
-                for i in range(length):
-                    token[i, s] = signals[k + s, e, i]
-            one[:] = base
-            _dense(token, first[:length], one)
-            _rectify(one)
-            _fill(b, hidden[e])
-            _dense(one, second, hidden[e])
-            _rectify(hidden[e])
-            for s in range(scenes):
-                votes[s] = 1.0 if voting[k + s, e] else 0.0
-                count[s] += votes[s]
-            for j in range(width):
-                for s in range(scenes):
-                    pooled[j, s] += votes[s] * hidden[e, j, s]
+        _share(base, one)
+        _dense(flat_x, first[:length], flat_one)
+        _rectify(flat_one)
+        _fill(b, flat_two)
+        _dense(flat_one, second, flat_two)
+        _rectify(flat_two)
         for j in range(width):
+            for e in range(experts):
+                for s in range(scenes):
+                    pooled[j, s] += votes[e, s] * two[j, e, s]
             for s in range(scenes):
                 pooled[j, s] /= count[s]
         _fill(c, base)
         _dense(pooled, third[width:], base)
-        for e in range(experts):
-            one[:] = base
-            _dense(hidden[e], third[:width], one)
-            _rectify(one)
-            _fill(d, number[e])
-            _dense(one, last, number[e])
+        _share(base, one)
+        _dense(flat_two, third[:width], flat_one)
+        _rectify(flat_one)
+        _fill(d, number)
+        _dense(flat_one, last, number)
         for s in range(scenes):
             largest, total = -np.inf, 0.0
             for e in range(experts):
                 if voting[k + s, e]:
-                    largest = max(largest, number[e, 0, s])
+                    largest = max(largest, number[0, e * scenes + s])
             for e in range(experts):
-                grown = math.exp(number[e, 0, s] - largest) if voting[k + s, e] else 0.0
+                grown = math.exp(number[0, e * scenes + s] - largest) if voting[k + s, e] else 0.0
                 weights[k + s, e] = max(consensus[k + s, e], LEAST_WEIGHT) * grown
                 total += weights[k + s, e]
             for e in range(experts):

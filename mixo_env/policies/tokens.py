@@ -97,24 +97,17 @@ class Tokens(NamedTuple):
 def read(observation: Observation, calibration: Calibration) -> Seen:
     """Pick what becomes tokens."""
     shape = observation["yaw_rates"].shape
-    seen = Seen(
-        *np.empty((3, *shape)),
-        np.empty(shape, np.bool_),
-        np.array([observation[name] for name in ("matches", "inliers", "residual_px", "flow_px")]),
-        np.empty((shape[0], 2)),
-    )
-    _read(tuple(observation[name] for name in _READ), calibration.std_rad, calibration.factor, seen)
+    numbers: FloatArray = np.empty((3, *shape))
+    counts = np.array([observation[name] for name in ("matches", "inliers", "residual_px", "flow_px")])
+    seen = Seen(numbers[0], numbers[1], numbers[2], np.empty(shape, np.bool_), counts, np.empty((shape[0], 2)))
+    told = tuple(observation[name] for name in ("yaw_rates", "available", "yaw_rate_std", "speed", "dt"))
+    _read(told, calibration.std_rad, calibration.factor, seen)
     return seen
 
 
-_READ = ("yaw_rates", "available", "yaw_rate_std", "speed", "dt")
-
-
 @compiled_unchecked
-def _read(
-    told: tuple[NDArray[np.float32], ...], std_rad: FloatArray, factor: FloatArray, seen: Seen
-) -> None:
-    """Write all of ``seen`` but the counts; ``told`` in the order of ``_READ``."""
+def _read(told: tuple[NDArray[np.float32], ...], std_rad: FloatArray, factor: FloatArray, seen: Seen) -> None:
+    """Write all of ``seen`` but the counts."""
     rates, available, stated, speed, dt = told
     for b in range(len(rates)):
         believe_row(rates[b], available[b], seen.voting[b])

@@ -209,6 +209,8 @@ def load_recordings(path_or_name: str | Path | None = None) -> Recordings:
         folder = files("mixo_env.recordings") / "data" / name
         return _open(folder, f"bundled recording {name!r}", "reinstall mixo-env")[0]
     if not Path(name).exists() and len(Path(name).parts) == 1:
+        if str(name) in bundled_recordings():
+            raise RecordingError(f"no folder {str(name)!r}; for the bundled recording pass its name as a string")
         raise RecordingError(f"no folder {str(name)!r} and {unknown('recording', str(name), bundled_recordings())}")
     return _open(Path(name), str(name), f"record anew with `mixo record ROOT --out {name}`")[0]
 
