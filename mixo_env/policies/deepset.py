@@ -30,6 +30,9 @@ AT_ONCE = 32
 LEAST_WEIGHT = 1e-9
 """Of the consensus, whose logarithm is taken."""
 
+AVERAGED = 0.98
+"""Of the running mean of the network over the updates, which is what is kept: it remembers some fifty of them."""
+
 GRADIENT_NORM = 1.0
 """Gradients are cut to it: scenes in which an expert breaks have large ones."""
 
@@ -157,22 +160,24 @@ def train(
 ) -> Layers:
     """Adam on the errors of the integrated heading; torch's generator decides the order and the first weights.
 
-    The learning rate falls to zero in a straight line.
+    The result is the running mean of the network over the updates (Polyak and Juditsky 1992): the few scenes of an
+    update say little, and so the end of the training needs no falling learning rate.
 
     Args:
         given: scenes.
         inputs: ``(scenes, steps, experts, width)``, standardised.
         hidden: width of all layers but the last.
-        learning_rate: at the beginning.
+        learning_rate: of all updates.
         updates: how many; scenes come round in random order.
         batch: scenes in an update, at most.
     """
     import torch
     from torch import nn
+    from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
 
     network = _network(inputs.shape[-1], hidden)
-    parameters = [value for layer in network for value in layer.parameters()]
-    optimiser = torch.optim.Adam(parameters, lr=learning_rate)
+    averaged = AveragedModel(network, multi_avg_fn=get_ema_multi_avg_fn(AVERAGED))
+    optimiser = torch.optim.Adam(network.parameters(), lr=learning_rate)
     x, voting = torch.from_numpy(inputs), torch.from_numpy(given.voting)
     consensus = torch.from_numpy(np.log(np.maximum(given.consensus, LEAST_WEIGHT)))
     increment, truth = torch.from_numpy(given.increment), torch.from_numpy(given.truth)
@@ -191,7 +196,6 @@ def train(
     scenes = torch.arange(len(inputs))
     with torch.no_grad():
         relative, absolute = errors(scenes, correct=False)
-    schedule = torch.optim.lr_scheduler.LambdaLR(optimiser, lambda t: 1.0 - t / max(updates, 1))
     rounds = -(-updates // -(-len(inputs) // batch))
     order = [rows for _ in range(rounds) for rows in torch.randperm(len(inputs)).split(batch)]
     for rows in order[:updates]:
@@ -199,10 +203,11 @@ def train(
         loss = of_pieces / relative + of_scenes / absolute
         optimiser.zero_grad()
         loss.backward()
-        nn.utils.clip_grad_norm_(parameters, GRADIENT_NORM)
+        nn.utils.clip_grad_norm_(network.parameters(), GRADIENT_NORM)
         optimiser.step()
-        schedule.step()
-    return tuple((layer.weight.detach().numpy().T.copy(), layer.bias.detach().numpy().copy()) for layer in network)
+        averaged.update_parameters(network)
+    layers: Sequence[nn.Linear] = list(averaged.module)  # type: ignore[arg-type]
+    return tuple((layer.weight.detach().numpy().T.copy(), layer.bias.detach().numpy().copy()) for layer in layers)
 
 
 def heading_errors(
@@ -224,17 +229,18 @@ def heading_errors(
     return torch.cat(off).mean(), (square + 1e-6).sqrt().mean()
 
 
-def _network(inputs: int, hidden: int) -> list[nn.Linear]:
+def _network(inputs: int, hidden: int) -> nn.ModuleList:
     """Four dense layers, the last one zero: an untrained gate corrects nothing."""
     from torch import nn
 
-    layers = [nn.Linear(inputs, hidden), nn.Linear(hidden, hidden), nn.Linear(2 * hidden, hidden), nn.Linear(hidden, 1)]
-    nn.init.zeros_(layers[3].weight)
-    nn.init.zeros_(layers[3].bias)
-    return layers
+    first, second, third = nn.Linear(inputs, hidden), nn.Linear(hidden, hidden), nn.Linear(2 * hidden, hidden)
+    last = nn.Linear(hidden, 1)
+    nn.init.zeros_(last.weight)
+    nn.init.zeros_(last.bias)
+    return nn.ModuleList([first, second, third, last])
 
 
-def _forward(network: list[nn.Linear], x: torch.Tensor, voting: torch.Tensor) -> torch.Tensor:
+def _forward(network: nn.ModuleList, x: torch.Tensor, voting: torch.Tensor) -> torch.Tensor:
     """What is added to the logarithms of the consensus, ``(..., experts)``, with gradients."""
     import torch
 

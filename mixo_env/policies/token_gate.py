@@ -43,7 +43,7 @@ class Token(Policy):
         *,
         hidden: int = 16,
         learning_rate: float = 0.002,
-        updates: int = 150,
+        updates: int = 650,
         batch: int = 16,
         spoilt: int = 1,
     ) -> None:
