@@ -34,7 +34,7 @@ def recordings() -> Recordings:
 @pytest.fixture(autouse=True)
 def brief(monkeypatch: pytest.MonkeyPatch) -> None:
     """Few updates: nothing here depends on how well anything is learnt."""
-    for policy, few in ((Mixo, {"min_updates": 20}), (Token, {"updates": 10}), (Tandem, {"updates": 10})):
+    for policy, few in ((Mixo, {"min_updates": 20}), (Token, {"epochs": 10}), (Tandem, {"epochs": 10})):
         monkeypatch.setattr(policy.__init__, "__kwdefaults__", policy.__init__.__kwdefaults__ | few)
 
 

@@ -28,7 +28,7 @@ def fitted(policy, drives: Recordings, **kwargs):
 
 
 def test_its_weights_are_the_mean_of_both(drives: Recordings) -> None:
-    policy = fitted(Tandem(updates=4), drives)
+    policy = fitted(Tandem(epochs=4), drives)
     token, beside = policy._members.values()
     steps = list(play(policy, Replay(drives, track="VISION")))[:3]
     policy.reset(len(drives))
@@ -38,20 +38,20 @@ def test_its_weights_are_the_mean_of_both(drives: Recordings) -> None:
 
 
 def test_without_training_the_gate_is_tokens_and_with_it_another(drives: Recordings) -> None:
-    untrained, alone = fitted(Tandem(updates=0), drives), fitted(Token(updates=0), drives)
+    untrained, alone = fitted(Tandem(epochs=0), drives), fitted(Token(epochs=0), drives)
     for name, value in alone.tensors().items():
         np.testing.assert_array_equal(untrained.tensors()[f"token.{name}"], value)
-    beside, trained = fitted(Tandem(updates=6), drives), fitted(Token(updates=6), drives)
+    beside, trained = fitted(Tandem(epochs=6), drives), fitted(Token(epochs=6), drives)
     assert not np.array_equal(beside.tensors()["token.weight.3"], trained.tensors()["weight.3"])
     for name, value in fitted(BiasFilter(), drives).tensors().items():
         np.testing.assert_array_equal(beside.tensors()[f"filter.{name}"], value)
 
 
 def test_what_the_companion_fuses_reaches_the_loss(drives: Recordings, monkeypatch: pytest.MonkeyPatch) -> None:
-    first = fitted(Tandem(updates=6), drives).tensors()["token.weight.3"]
+    first = fitted(Tandem(epochs=6), drives).tensors()["token.weight.3"]
     steps = int(np.diff(drives.offsets).max()) - 1
     monkeypatch.setattr(tandem, "fused_increments", lambda *_: np.zeros((len(drives), steps), np.float32))
-    assert not np.array_equal(first, fitted(Tandem(updates=6), drives).tensors()["token.weight.3"])
+    assert not np.array_equal(first, fitted(Tandem(epochs=6), drives).tensors()["token.weight.3"])
 
 
 def test_fused_increments_are_those_of_the_replay(drives: Recordings) -> None:

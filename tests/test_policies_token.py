@@ -33,7 +33,7 @@ def drives() -> Recordings:
 
 @pytest.fixture(scope="module")
 def fitted(drives: Recordings) -> Token:
-    policy = Token(updates=6, hidden=8)
+    policy = Token(epochs=6, hidden=8)
     prepare(policy, drives, TRACK)
     return policy
 
@@ -106,7 +106,7 @@ def test_the_compiled_network_is_that_of_torch_before_it_was_folded() -> None:
 
 
 def test_an_untrained_gate_is_the_student_t_consensus(drives: Recordings) -> None:
-    policy = Token(updates=0)
+    policy = Token(epochs=0)
     prepare(policy, drives, TRACK)
     policy.reset(3)
     look = seen_at(drives, policy)
@@ -161,8 +161,8 @@ def test_training_lowers_what_it_is_to_lower(drives: Recordings) -> None:
     turned = drives["CAM_FRONT.yaw_increment_rad"] + np.float32(8 * UNIT_RAD) * (truth > 0.0)
     lying = drives.replace(columns={"CAM_FRONT.yaw_increment_rad": turned})
     drift = []
-    for updates in (0, 60):
-        policy = Token(updates=updates, learning_rate=0.02, spoilt=0)
+    for epochs in (0, 60):
+        policy = Token(epochs=epochs, learning_rate=0.02, spoilt=0)
         prepare(policy, lying, TRACK)
         replay = Replay(lying, track=TRACK)
         list(play(policy, replay))
@@ -249,7 +249,7 @@ def test_it_plays_with_strangers(drives: Recordings, fitted: Token, tmp_path) ->
 
 def test_a_stranger_is_known_by_what_it_does(fitted: Token, drives: Recordings) -> None:
     """One of three strangers errs by 100 units for a while: its weight is gone, and comes back."""
-    policy = Token(updates=0)
+    policy = Token(epochs=0)
     prepare(policy, drives, TRACK)
     policy.start(("x", "y", "z"))
     policy.reset(1)

@@ -30,8 +30,8 @@ AT_ONCE = 32
 LEAST_WEIGHT = 1e-9
 """Of the consensus, whose logarithm is taken."""
 
-AVERAGED = 0.98
-"""Of the running mean of the network over the updates, which is what is kept: it remembers some fifty of them."""
+AVERAGED = 50
+"""Updates that the running mean of the network remembers, which is what is kept; a tenth of them at the beginning."""
 
 GRADIENT_NORM = 1.0
 """Gradients are cut to it: scenes in which an expert breaks have large ones."""
@@ -156,7 +156,7 @@ def _weigh(
 
 
 def train(
-    given: Lessons, inputs: NDArray[np.float32], hidden: int, learning_rate: float, updates: int, batch: int
+    given: Lessons, inputs: NDArray[np.float32], hidden: int, learning_rate: float, epochs: int, batch: int
 ) -> Layers:
     """Adam on the errors of the integrated heading; torch's generator decides the order and the first weights.
 
@@ -168,15 +168,15 @@ def train(
         inputs: ``(scenes, steps, experts, width)``, standardised.
         hidden: width of all layers but the last.
         learning_rate: of all updates.
-        updates: how many; scenes come round in random order.
+        epochs: how often all scenes come round, each time in another order.
         batch: scenes in an update, at most.
     """
     import torch
     from torch import nn
-    from torch.optim.swa_utils import AveragedModel, get_ema_multi_avg_fn
+    from torch.optim.swa_utils import AveragedModel
 
     network = _network(inputs.shape[-1], hidden)
-    averaged = AveragedModel(network, multi_avg_fn=get_ema_multi_avg_fn(AVERAGED))
+    averaged = AveragedModel(network, avg_fn=_remember)
     optimiser = torch.optim.Adam(network.parameters(), lr=learning_rate)
     x, voting = torch.from_numpy(inputs), torch.from_numpy(given.voting)
     consensus = torch.from_numpy(np.log(np.maximum(given.consensus, LEAST_WEIGHT)))
@@ -196,9 +196,7 @@ def train(
     scenes = torch.arange(len(inputs))
     with torch.no_grad():
         relative, absolute = errors(scenes, correct=False)
-    rounds = -(-updates // -(-len(inputs) // batch))
-    order = [rows for _ in range(rounds) for rows in torch.randperm(len(inputs)).split(batch)]
-    for rows in order[:updates]:
+    for rows in (rows for _ in range(epochs) for rows in torch.randperm(len(inputs)).split(batch)):
         of_pieces, of_scenes = errors(rows)
         loss = of_pieces / relative + of_scenes / absolute
         optimiser.zero_grad()
@@ -208,6 +206,10 @@ def train(
         averaged.update_parameters(network)
     layers: Sequence[nn.Linear] = list(averaged.module)  # type: ignore[arg-type]
     return tuple((layer.weight.detach().numpy().T.copy(), layer.bias.detach().numpy().copy()) for layer in layers)
+
+
+def _remember(mean: torch.Tensor, newest: torch.Tensor, before: torch.Tensor | int) -> torch.Tensor:
+    return mean + (newest - mean) * max(1.0 / AVERAGED, 10.0 / (10.0 + float(before)))
 
 
 def heading_errors(

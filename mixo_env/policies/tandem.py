@@ -22,17 +22,17 @@ class Tandem(Policy):
 
     One is a network that judges the moment, the other a model that remembers drifts: they err in different scenes. The
     gate learns in the loss of the fused heading of both, so that it sees to what the filter leaves; in scenes with
-    experts that break, which the filter never saw, it learns alone. Share and updates are chosen on inner folds; beside
+    experts that break, which the filter never saw, it learns alone. Share and epochs are chosen on inner folds; beside
     the filter it takes longer than TOKEN until the gate learns its training scenes by heart.
     """
 
     name = "TANDEM"
     learns = True
 
-    def __init__(self, *, updates: int = 1000) -> None:
+    def __init__(self, *, epochs: int = 40) -> None:
         """Set the training of the gate; all else is TOKEN's own."""
-        self.updates = updates
-        self._members: dict[str, Policy] = {"token": Token(updates=updates), "filter": BiasFilter()}
+        self.epochs = epochs
+        self._members: dict[str, Policy] = {"token": Token(epochs=epochs), "filter": BiasFilter()}
 
     def start(self, voters: tuple[str, ...]) -> None:  # type: ignore[override]
         """Take the voters."""
@@ -60,7 +60,7 @@ class Tandem(Policy):
 
     def settings(self) -> dict[str, Any]:
         """Training of the gate."""
-        return {"updates": self.updates}
+        return {"epochs": self.epochs}
 
     def tensors(self) -> dict[str, NDArray[Any]]:
         """Those of both."""

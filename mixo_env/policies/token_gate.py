@@ -43,12 +43,12 @@ class Token(Policy):
         *,
         hidden: int = 16,
         learning_rate: float = 0.002,
-        updates: int = 650,
+        epochs: int = 25,
         batch: int = 16,
         spoilt: int = 1,
     ) -> None:
         """Set width, training, scenes in an update, and spoilt versions of every training scene."""
-        self.hidden, self.learning_rate, self.updates = hidden, learning_rate, updates
+        self.hidden, self.learning_rate, self.epochs = hidden, learning_rate, epochs
         self.batch, self.spoilt = batch, spoilt
         self._known: dict[str, Sequence[float]] = {}
 
@@ -88,7 +88,7 @@ class Token(Policy):
         torch.set_num_threads(1)
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(int(trained))
-            layers = train(given, (x - mean) / std, self.hidden, self.learning_rate, self.updates, self.batch)
+            layers = train(given, (x - mean) / std, self.hidden, self.learning_rate, self.epochs, self.batch)
         self._layers = folded(layers, mean, std)
 
     def reset(self, batch: int) -> None:
@@ -102,7 +102,7 @@ class Token(Policy):
 
     def settings(self) -> dict[str, Any]:
         """Width and training."""
-        return {name: getattr(self, name) for name in ("hidden", "learning_rate", "updates", "batch", "spoilt")}
+        return {name: getattr(self, name) for name in ("hidden", "learning_rate", "epochs", "batch", "spoilt")}
 
     def tensors(self) -> dict[str, NDArray[Any]]:
         """Calibration and network."""
