@@ -27,6 +27,10 @@ Layers = tuple[tuple[Single, Single], ...]
 AT_ONCE = 32
 """Scenes whose tokens pass the network side by side: vector units are full, and all fits into the first cache."""
 
+MOST = 3.0
+"""Of what the network can add to a logarithm: a factor of twenty. An expert further off than any in training keeps the
+consensus' small weight, whatever the network makes of it."""
+
 LEAST_WEIGHT = 1e-9
 """Of the consensus, whose logarithm is taken."""
 
@@ -145,6 +149,8 @@ def _weigh(
         for s in range(scenes):
             largest, total = -np.inf, 0.0
             for e in range(experts):
+                told_more = number[0, e * scenes + s]
+                number[0, e * scenes + s] = told_more / (np.float32(1.0) + abs(told_more) / np.float32(MOST))
                 if voting[k + s, e]:
                     largest = max(largest, number[0, e * scenes + s])
             for e in range(experts):
@@ -250,4 +256,5 @@ def _forward(network: nn.ModuleList, x: torch.Tensor, voting: torch.Tensor) -> t
     votes = voting[..., None].to(x.dtype)
     pooled = (hidden * votes).sum(dim=-2, keepdim=True) / votes.sum(dim=-2, keepdim=True)
     joined = torch.cat([hidden, pooled.expand_as(hidden)], dim=-1)
-    return network[3](torch.relu(network[2](joined)))[..., 0]
+    added = network[3](torch.relu(network[2](joined)))[..., 0]
+    return added / (1.0 + added.abs() / MOST)
