@@ -160,8 +160,8 @@ there):
 | BIAS FILTER | 2.6 | 2.6 | -21.7 % (.1988) | 0.228 |
 | LINEAR GATE | 3.2 | 9.0 | +175 % (.0007) | 0.781 |
 | MIXO | 3.0 | 3.5 | +5.7 % (1) | 0.231 |
-| TOKEN | 2.7 | 2.5 | -23.9 % (1) | 0.226 |
-| TANDEM | 2.6 | 2.5 | -23.1 % (1) | 0.218 |
+| TOKEN | 2.6 | 2.5 | -24.1 % (1) | 0.223 |
+| TANDEM | 2.7 | 2.5 | -24.5 % (1) | 0.229 |
 | MULTICAMERA GT † | 1.0 | 0.5 | - | 0.044 |
 
 Experts of one drive now differ by more than a hundred times, and that tells rules apart that look alike among equals.
