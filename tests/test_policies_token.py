@@ -86,6 +86,16 @@ def test_a_scene_is_weighed_as_if_it_were_alone(batch: int) -> None:
         np.testing.assert_array_equal(alone, together[one])
 
 
+def test_no_network_makes_an_expert_that_the_consensus_dropped_count() -> None:
+    signals, whole, _, _ = told(np.random.default_rng(4), 50, 3)
+    signals[:, 2] = 1e4  # of an expert further off than any in training
+    consensus = np.tile([0.5, 0.5 - 1e-6, 1e-6], (50, 1))
+    everybody = np.ones((50, 3), bool)
+    trust = [weigh(layers(seed), (signals, whole, consensus), everybody)[:, 2].max() for seed in range(8)]
+    assert max(trust) > 2e-6  # some of them would follow it
+    assert max(trust) <= 1e-6 * np.exp(2 * deepset.MOST)
+
+
 def test_the_compiled_network_is_that_of_torch_before_it_was_folded() -> None:
     torch.manual_seed(0)
     network = deepset._network(SIGNALS + WHOLE, 8)
