@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from experiments.failures_table import write_tables
+from experiments.failures_table import TRACK, write_tables
 from mixo_env.errors import ConfigurationError, DatasetError, MixoError, unknown
 from mixo_env.experts.joint.config import JointConfig
 from mixo_env.experts.monocular.config import MonocularConfig
@@ -29,6 +29,7 @@ from mixo_env.recordings.camera_faults import told_faults
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.folds import OUT_OF_DISTRIBUTION
 from mixo_env.recordings.record import RecordConfig, record
+from mixo_env.recordings.schema import HEADLINE_TRACKS
 from mixo_env.recordings.store import MANIFEST_FILE, load_recordings, save_recordings
 from mixo_env.simulator.config import FAULTS, CameraFault, SimulationConfig, staging
 from mixo_env.simulator.dataset import simulate
@@ -73,6 +74,7 @@ class Failures:
       python -m experiments.failures --drives development                   other drives, to work with
       python -m experiments.failures --kinds ordinary frozen --scenes 4     two columns of four scenes
       python -m experiments.failures --stages record --kinds side_queue     a piece; the table comes when all are there
+      python -m experiments.failures --stages table --track CONSUMER --out with-gyro
     """
 
     cache: Path = Path.home() / ".cache" / "mixocity-failures"
@@ -88,6 +90,8 @@ class Failures:
     """Which drives: the seed of one is never that of the other."""
     policies: tuple[str, ...] = ()
     """Rows; all but the expensive ones by default."""
+    track: str = TRACK
+    """Of the table: who votes besides the cameras."""
     scenes: int = 16
     """Of every kind, a log each."""
     seconds: int = 20
@@ -103,6 +107,8 @@ class Failures:
         for kind in self.kinds:
             if kind not in KINDS:
                 raise ConfigurationError(unknown("kind of failure", kind, KINDS))
+        if self.track not in HEADLINE_TRACKS:
+            raise ConfigurationError(unknown("track", self.track, HEADLINE_TRACKS))
         if "sample" in self.stages and (self.drives != "table" or not set(SAMPLED) <= set(self.kinds)):
             raise ConfigurationError(
                 f"--stages sample is of the drives of the table, {', '.join(SAMPLED)}: leave --drives and --kinds out"
@@ -123,7 +129,7 @@ class Failures:
                 self.tidy(kind)
         if "table" in self.stages:
             recorded = {kind: load_recordings(str(self.folder(kind) / "recordings")) for kind in self.kinds}
-            write_tables(recorded, load_recordings(), writable_folder(self.out), self.policies)
+            write_tables(recorded, load_recordings(), writable_folder(self.out), self.policies, self.track)
             logger.info("table: %s", self.out)
         if "sample" in self.stages:
             for kind in SAMPLED:

@@ -26,6 +26,7 @@ from mixo_env.recordings.variants import as_variant
 from mixo_env.tables import Column, Table
 
 TRACK = "VISION"
+"""The track of the table that comes with the package."""
 
 REFERENCES = ("CAM_FRONT", "LINEAR", "HUBER")
 """Every row is compared with these, on the scenes of one kind."""
@@ -65,7 +66,7 @@ class Scored:
         return self.errors[row] / self.best_camera[1] if self.best_camera[1] else float("nan")
 
 
-def check_experts(suite: Recordings, headline: Recordings, name: str) -> None:
+def check_experts(suite: Recordings, headline: Recordings, name: str, track: str = TRACK) -> None:
     """Refuse a kind recorded by other experts than the policies were fitted on.
 
     A setting that one of the two does not tell is a difference: its experts knew nothing of it.
@@ -73,10 +74,10 @@ def check_experts(suite: Recordings, headline: Recordings, name: str) -> None:
     Raises:
         PolicyError: one line that names the first difference.
     """
-    if suite.voters(TRACK) != headline.voters(TRACK):
+    if suite.voters(track) != headline.voters(track):
         raise PolicyError(
-            f"{name}: {', '.join(suite.voters(TRACK))} vote here, policies were fitted on "
-            f"{', '.join(headline.voters(TRACK))}: record the suite with the headline's experts"
+            f"{name}: {', '.join(suite.voters(track))} vote here, policies were fitted on "
+            f"{', '.join(headline.voters(track))}: record the suite with the headline's experts"
         )
     for group in ("monocular", "inertial"):
         here, there = (json.loads(json.dumps(r.manifest.parameters.get(group, {}))) for r in (suite, headline))
@@ -88,22 +89,22 @@ def check_experts(suite: Recordings, headline: Recordings, name: str) -> None:
                 )
 
 
-def fitted(chosen: Sequence[str], suite: Recordings, headline: Recordings) -> dict[str, Policy]:
+def fitted(chosen: Sequence[str], suite: Recordings, headline: Recordings, track: str) -> dict[str, Policy]:
     """Rows in the order of the tables, fitted on the headline's scenes by day and in rain, and on nothing else."""
     division = CrossValidation(suite, Trial(weights=shipped()), bundled=lambda: headline)
     usual = [name for name in names(suite) if INSTANT not in name and not division.expensive(name)]
-    return {name: division.fitted(name, TRACK, UNFOLDED, 0) for name in chosen or usual}
+    return {name: division.fitted(name, track, UNFOLDED, 0) for name in chosen or usual}
 
 
-def score(policies: Mapping[str, Policy], suite: Recordings) -> Scored:
+def score(policies: Mapping[str, Policy], suite: Recordings, track: str = TRACK) -> Scored:
     """Play every row on one kind, and compare."""
     scenes = with_truth(CrossValidation(suite).recordings, "exact")
     scorer, everything = Scorer(scenes, {"exact": Truth(scenes)}, floor=0.0, seed=0), np.ones(len(scenes), np.bool_)
     rows = []
     for name, policy in policies.items():
-        travel = rollout(policy, as_variant(scenes, name), TRACK, privileged=policy.privileged)
+        travel = rollout(policy, as_variant(scenes, name), track, privileged=policy.privileged)
         run = Run(name, policy.privileged, policy.learns, {"exact": (travel,)}, everything, {})
-        rows.append(scorer.row(TRACK, run))
+        rows.append(scorer.row(track, run))
     errors = {row.name: float(row.headline.rotation_deg_per_m.mean) for row in rows}
     comparisons = scorer.compare(rows)
     compared = {
@@ -120,7 +121,11 @@ def score(policies: Mapping[str, Policy], suite: Recordings) -> Scored:
 
 
 def write_tables(
-    recorded: Mapping[str, Recordings], headline: Recordings, out: Path, chosen: Sequence[str] = ()
+    recorded: Mapping[str, Recordings],
+    headline: Recordings,
+    out: Path,
+    chosen: Sequence[str] = (),
+    track: str = TRACK,
 ) -> dict[str, Scored]:
     """Score every kind; write failures.json, failures.md and failures.png.
 
@@ -130,9 +135,9 @@ def write_tables(
         OutputError: when a file cannot be written.
     """
     for name, suite in recorded.items():
-        check_experts(suite, headline, name)
-    policies = fitted(chosen, next(iter(recorded.values())), headline)
-    scored = {name: score(policies, suite) for name, suite in recorded.items()}
+        check_experts(suite, headline, name, track)
+    policies = fitted(chosen, next(iter(recorded.values())), headline, track)
+    scored = {name: score(policies, suite, track) for name, suite in recorded.items()}
     for name, of in scored.items():
         if not np.isfinite(list(of.errors.values())).all():
             raise ConfigurationError(
@@ -142,23 +147,23 @@ def write_tables(
         out / FAILURES_FILE,
         {
             "data_version": headline.manifest.data_version,
-            "track": TRACK,
+            "track": track,
             "scenes": {name: of.scenes for name, of in scored.items()},
             "privileged": [row for row, policy in policies.items() if policy.privileged],
             "matrix": {row: {name: of.errors[row] for name, of in scored.items()} for row in policies},
         },
     )
-    write_text(out / "failures.md", markdown(scored, headline.manifest.data_version))
+    write_text(out / "failures.md", markdown(scored, headline.manifest.data_version, track))
     draw(scored, out / "failures.png")
     return scored
 
 
-def markdown(scored: Mapping[str, Scored], fitted_on: str) -> str:
+def markdown(scored: Mapping[str, Scored], fitted_on: str, track: str) -> str:
     """Errors, ratios and paired differences."""
     first = next(iter(scored.values()))
     rows = list(first.errors)
     errors = Table(
-        f"RTE in deg/m by exact truth, track {TRACK}; rows were fitted on {fitted_on} only; † reads the truth or the "
+        f"RTE in deg/m by exact truth, track {track}; rows were fitted on {fitted_on} only; † reads the truth or the "
         "future",
         (Column("policy"), *(Column(name, "deg/m", ".4f") for name in scored)),
         [[first.marked(row), *(of.errors[row] for of in scored.values())] for row in rows],

@@ -120,6 +120,16 @@ def test_the_matrix_is_what_the_report_reads(suite: Failures) -> None:
     assert (suite.out / "failures.png").read_bytes().startswith(b"\x89PNG")
 
 
+def test_a_table_of_another_track_has_its_voters(suite: Failures, tmp_path: Path) -> None:
+    recorded = {kind: load_recordings(str(suite.folder(kind) / "recordings")) for kind in KINDS_HERE}
+    write_tables(recorded, headline(), tmp_path, (*ROWS, "INERTIAL"), "CONSUMER")
+    alone, with_gyro = (json.loads((out / "failures.json").read_text()) for out in (suite.out, tmp_path))
+    assert (alone["track"], with_gyro["track"]) == ("VISION", "CONSUMER")
+    assert set(with_gyro["matrix"]) == {*ROWS, "INERTIAL"}
+    assert alone["matrix"]["HUBER"] != with_gyro["matrix"]["HUBER"]  # five vote
+    assert "track CONSUMER" in (tmp_path / "failures.md").read_text()
+
+
 def test_a_few_scenes_go_beside_the_tests(suite: Failures) -> None:
     suite.sample("ordinary")
     whole = load_recordings(str(suite.folder("ordinary") / "recordings"))
@@ -179,7 +189,7 @@ def test_scenes_too_short_for_a_score_are_one_line_and_write_nothing(
 ) -> None:
     recordings = load_recordings(str(suite.folder("black") / "recordings"))
     nothing = Scored(dict.fromkeys(ROWS, float("nan")), {}, {}, ("CAM_FRONT", float("nan")), 2, frozenset())
-    monkeypatch.setattr(failures_table, "score", lambda policies, suite: nothing)
+    monkeypatch.setattr(failures_table, "score", lambda policies, suite, track: nothing)
     with pytest.raises(ConfigurationError, match="black: no scene of 2 is as long"):
         write_tables({"black": recordings}, headline(), tmp_path, ROWS)
     assert not list(tmp_path.iterdir())
@@ -190,6 +200,8 @@ def test_an_unknown_kind_is_one_line(tmp_path: Path, caplog: pytest.LogCaptureFi
         Failures(kinds=("blak",))
     assert failures.main(["--kinds", "blak", "--cache", str(tmp_path)]) == 1
     assert caplog.messages[-1].startswith("unknown kind of failure 'blak'")
+    with pytest.raises(ConfigurationError, match="did you mean 'VISION'"):
+        Failures(track="VISON")
 
 
 def test_a_damaged_note_of_faults_is_one_line_and_a_real_folder_has_none(tmp_path: Path) -> None:
