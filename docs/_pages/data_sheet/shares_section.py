@@ -11,7 +11,7 @@ from mixo_env.tables import Column, Table
 HEAD = """## No thumb on the scale
 
 Situations are staged on purpose, so their shares could decide who wins. `python -m experiments.situation_shares` runs
-the leaderboard anew with their share at 0, halved, as it is, and doubled. TOKEN and TANDEM are trained longer since."""
+the leaderboard anew with their share at 0, halved, as it is, and doubled."""
 
 SCORES = {"translation_percent": "RTE %", "rotation_deg_per_m": "RTE deg/m", "yaw_increment_rmse_deg": "yaw deg"}
 
