@@ -5,7 +5,8 @@
 A gate sees what goes along with an error: its size at best, never its sign. So what is measured here is what knowing
 the sizes would gain: weights 1 / mean square of every expert's true errors in the steps around the one to be decided,
 which itself is left out; then in past steps alone; then with that step told as well. And constant weights, fitted on
-the log that they are scored on. The way from LINEAR to MULTICAMERA GT is the scale.
+the log that they are scored on. The way from LINEAR to MULTICAMERA GT is the scale. None is a strict bound: a dozen
+squares tell a size roughly, and whoever estimates biases uses their signs.
 """
 
 from __future__ import annotations
@@ -86,16 +87,16 @@ def study(protocol: CrossValidation, track: str) -> Iterator[tuple[str, tuple[fl
     recordings = with_truth(protocol.recordings, protocol.truths[0])
     truth = Truth(recordings)
     worst, best = (_scores(truth.measure(protocol.run(name, track).travel)) for name in (FROM, TO))
+    votes, turns = substituted_increments(recordings, track), recordings["truth.yaw_increment_rad"]
 
     def closed(weights: FloatArray) -> tuple[float, float]:
         own = _scores(truth.measure(with_wheels(recordings, mix(weights, votes))))
         rotation, heading = 100.0 * (worst - own) / (worst - best)
         return float(rotation), float(heading)
 
-    votes, turns = substituted_increments(recordings, track), recordings["truth.yaw_increment_rad"]
     yield "constant, of every log in hindsight", closed(by_log(recordings, votes, turns))
-    own = np.stack([np.isfinite(recordings[f"{e}.yaw_increment_rad"]) for e in recordings.voters(track)], axis=-1)
-    errors = np.where(own, votes - turns[:, None], np.nan)
+    told = np.stack([np.isfinite(recordings[f"{e}.yaw_increment_rad"]) for e in recordings.voters(track)], axis=-1)
+    errors = np.where(told, votes - turns[:, None], np.nan)
     for window in WINDOWS:
         yield f"1 / size², {window}", closed(by_size(errors, recordings.offsets, window))
 
@@ -106,7 +107,13 @@ def _scores(errors: Errors) -> FloatArray:
 
 
 def by_log(recordings: Recordings, votes: FloatArray, turns: FloatArray) -> FloatArray:
-    """Constant weights ``(rows, experts)`` of least squared error on the log that they are scored on."""
+    """Constant weights ``(rows, experts)`` of least squared error on the log that they are scored on.
+
+    Args:
+        recordings: tell where each log is.
+        votes: ``(rows, experts)`` yaw increments [rad], NaN in row 0 of a scene.
+        turns: ``(rows,)`` the true ones [rad].
+    """
     weights = np.zeros(votes.shape)
     log_of_row = np.repeat([scene.log for scene in recordings.scenes], np.diff(recordings.offsets))
     usable = np.isfinite(turns) & np.isfinite(votes).all(axis=1)
@@ -120,8 +127,8 @@ def by_size(errors_rad: FloatArray, offsets: NDArray[np.int64], window: Window) 
     """Weights ``(rows, experts)``, 1 / mean square of the errors in a window around each row, within its scene.
 
     Args:
-        errors_rad: ``(rows, experts)``, NaN where an expert has no increment of its own; it has no weight there, unless
-            none has one: then all share.
+        errors_rad: ``(rows, experts)`` of the yaw increments, NaN where an expert has none of its own; it has no weight
+            there, unless none has one: then all share.
         offsets: ``(scenes + 1,)`` first row of each scene, and the end.
         window: which steps count.
     """
