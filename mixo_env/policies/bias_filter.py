@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mixo_env.fusion import FloatArray
-from mixo_env.policies.bias_steps import step_batch
+from mixo_env.policies.bias_steps import Told, step_batch
 from mixo_env.policies.calibration import Calibration, Past
 from mixo_env.policies.consensus import agreement
 from mixo_env.policies.drift import Drift
@@ -17,9 +16,6 @@ from mixo_env.policies.policy import Observation, Policy, Weights
 from mixo_env.policies.robust import believable, median_weights
 from mixo_env.policies.softmin import Recent
 from mixo_env.recordings.collection import Recordings
-
-BEST_SCALE = 0.7071
-"""Agreement with the others, whose consensus an expert is part of, proves no more than half the calibrated variance."""
 
 
 class BiasFilter(Policy):
@@ -45,17 +41,18 @@ class BiasFilter(Policy):
     def reset(self, batch: int) -> None:
         """Every bias is 0, as uncertain as it was on the training scenes; nobody has disagreed yet."""
         self._bias = np.zeros((batch, len(self.experts)))
+        self._noise = np.empty_like(self._bias)
         self._covariance = np.tile(np.diag(self._drift.slow_radps**2), (batch, 1, 1))
         self._recent = Recent(batch, len(self.experts))
 
     def act(self, observation: Observation) -> Weights:
         """Rows ``(batch, experts)`` that sum to one."""
-        told, dt = self._hear(observation)
-        weights = np.empty(told[0].shape)
-        if not step_batch((self._bias, self._covariance), told, self._constants, dt, weights):
+        weights = np.empty(self._bias.shape)
+        state = self._bias, self._covariance
+        if not step_batch(state, self._hear(observation), self._constants, (self._noise, weights)):
             undecided = ~weights.any(axis=1)
-            counts = believable(observation)[undecided]
-            weights[undecided] = median_weights(told[0][undecided], counts)
+            increments = observation["yaw_rates"].astype(np.float64) * observation["dt"]
+            weights[undecided] = median_weights(increments[undecided], believable(observation)[undecided])
         return weights
 
     def tensors(self) -> dict[str, NDArray[Any]]:
@@ -74,9 +71,7 @@ class BiasFilter(Policy):
         self._drift, self._calibration = drift, calibration
         self._constants = np.stack(list(drift.tensors().values()))
 
-    def _hear(self, observation: Observation) -> tuple[tuple[FloatArray, FloatArray, NDArray[np.bool_]], FloatArray]:
-        """Increments and their present standard deviations [rad] ``(batch, experts)``, who votes; dt ``(batch,)``."""
+    def _hear(self, observation: Observation) -> Told:
+        """What a step of the filter is told; recent agreement counts it in."""
         apart, std, known = agreement(observation, self._calibration)
-        scale = np.maximum(self._recent.update(apart, known), BEST_SCALE)
-        dt = observation["dt"][:, 0].astype(np.float64)
-        return (observation["yaw_rates"] * dt[:, None], std * scale, known), dt
+        return observation["yaw_rates"], observation["dt"], std, self._recent.update(apart, known), known

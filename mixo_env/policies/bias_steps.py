@@ -1,4 +1,4 @@
-"""Compiled steps of the filter of biases: one scene at a time, a handful of experts."""
+"""Compiled steps of the filter of biases: scenes side by side, a handful of experts."""
 
 from __future__ import annotations
 
@@ -8,161 +8,250 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixo_env.compiled import compiled_unchecked, inlined
+from mixo_env.policies.blocks import AT_ONCE
 from mixo_env.policies.calibration import FloatArray
-from mixo_env.policies.consensus import SAFE, likeliest
+from mixo_env.policies.consensus import ROOM, SAFE, Single, likeliest
 
-Room = tuple[FloatArray, FloatArray, NDArray[np.int64]]
-"""What :func:`step_row` writes on the way, ``(3, n, n)``, ``(5, n)`` and ``(n,)``: it may not make arrays."""
+Room = tuple[FloatArray, FloatArray, FloatArray]
+"""What :func:`step` writes on the way, ``(3, n, n, scenes)``, ``(4, n, scenes)`` and ``(1 + ROOM, scenes)``."""
+
+Told = tuple[Single, Single, FloatArray, FloatArray, NDArray[np.bool_]]
+"""Of every scene and expert, ``(batch, n)``: rates [rad/s]; duration [s] ``(batch, 1)``; calibrated standard deviations
+[rad], the scale that they have had lately, and who votes with a known one."""
+
+BEST_SCALE = 0.7071
+"""Agreement with the others, whose consensus an expert is part of, proves no more than half the calibrated variance."""
 
 
 @inlined
-def invert(matrix: FloatArray, n: int) -> None:
-    """Replace the leading ``n`` x ``n`` block, symmetric positive definite, by its inverse (Gauss and Jordan)."""
+def _clear(out: FloatArray) -> None:
+    for s in range(len(out)):
+        out[s] = 0.0
+
+
+@inlined
+def _copy(x: FloatArray, out: FloatArray) -> None:
+    for s in range(len(out)):
+        out[s] = x[s]
+
+
+@inlined
+def _scale(x: FloatArray, out: FloatArray) -> None:
+    for s in range(len(out)):
+        out[s] *= x[s]
+
+
+@inlined
+def _add(x: FloatArray, y: FloatArray, out: FloatArray) -> None:
+    """Add products of ``(n, scenes)`` to ``out`` ``(scenes,)``, one after the other."""
+    whole = len(x) // 4 * 4
+    for k in range(0, whole, 4):  # four at once: ``out`` is loaded and stored a quarter as often
+        for s in range(len(out)):
+            two = out[s] + x[k, s] * y[k, s] + x[k + 1, s] * y[k + 1, s]
+            out[s] = two + x[k + 2, s] * y[k + 2, s] + x[k + 3, s] * y[k + 3, s]
+    for k in range(whole, len(x)):
+        for s in range(len(out)):
+            out[s] += x[k, s] * y[k, s]
+
+
+@inlined
+def _sum(x: FloatArray, out: FloatArray) -> None:
+    for s in range(len(out)):
+        out[s] += x[s]
+
+
+@inlined
+def _subtract(x: FloatArray, out: FloatArray) -> None:
+    for s in range(len(out)):
+        out[s] -= x[s]
+
+
+@inlined
+def _take(x: FloatArray, y: FloatArray, out: FloatArray) -> None:
+    """Subtract products from ``out``."""
+    for s in range(len(out)):
+        out[s] -= x[s] * y[s]
+
+
+@inlined
+def invert(matrix: FloatArray) -> None:
+    """Replace matrices ``(n, n, scenes)``, symmetric positive definite, by their inverses (Gauss and Jordan)."""
+    n, _, scenes = matrix.shape
     for k in range(n):
-        pivot = 1.0 / matrix[k, k]  # never small: no others need be looked for
-        matrix[k, k] = 1.0
+        pivot = matrix[k, k]
+        for s in range(scenes):
+            pivot[s] = 1.0 / pivot[s]  # never small: no others need be looked for
         for j in range(n):
-            matrix[k, j] *= pivot
+            if j != k:
+                _scale(pivot, matrix[k, j])
         for i in range(n):
             if i != k:
-                factor = matrix[i, k]
-                matrix[i, k] = 0.0
                 for j in range(n):
-                    matrix[i, j] -= factor * matrix[k, j]
+                    if j != k:
+                        _take(matrix[i, k], matrix[k, j], matrix[i, j])
+                for s in range(scenes):
+                    matrix[i, k, s] *= -pivot[s]
 
 
 @inlined
-def predict(bias: FloatArray, covariance: FloatArray, drift: FloatArray, dt: float) -> None:
-    """Let biases ``(n,)`` [rad/s] and their covariance ``(n, n)`` age by ``dt``; ``drift`` as in :func:`step_row`."""
-    n = len(bias)
+def predict(bias: FloatArray, covariance: FloatArray, drift: FloatArray, dt: FloatArray, fade: FloatArray) -> None:
+    """Let biases age.
+
+    Args:
+        bias: ``(n, scenes)`` [rad/s], changed in place.
+        covariance: ``(n, n, scenes)``, changed in place.
+        drift: as in :func:`step`.
+        dt: ``(scenes,)`` [s].
+        fade: ``(n, scenes)`` written: what is left of a bias.
+    """
+    n, scenes = bias.shape
     for i in range(n):
-        fade = math.exp(-dt / drift[2, i])
-        bias[i] *= fade
-        for j in range(n):
-            covariance[i, j] *= fade
-            covariance[j, i] *= fade
-        covariance[i, i] += drift[1, i] * drift[1, i] * (1.0 - fade * fade)
+        for s in range(scenes):
+            same = s > 0 and dt[s] == dt[s - 1]
+            fade[i, s] = fade[i, s - 1] if same else math.exp(-dt[s] / drift[2, i])
+        _scale(fade[i], bias[i])
+        for j in range(i):
+            _scale(fade[j], covariance[i, j])
+            _scale(fade[i], covariance[i, j])
+            _copy(covariance[i, j], covariance[j, i])
+        for s in range(scenes):
+            left = fade[i, s]
+            covariance[i, i, s] = covariance[i, i, s] * left * left + drift[1, i] * drift[1, i] * (1.0 - left * left)
 
 
 @inlined
 def update(
-    state: tuple[FloatArray, FloatArray], heard: tuple[FloatArray, FloatArray, int], dt: float, room: Room
-) -> float:
-    """Best yaw increment and, in place, biases and covariance after hearing some experts.
+    state: tuple[FloatArray, FloatArray],
+    heard: tuple[FloatArray, FloatArray],
+    dt: FloatArray,
+    psi: FloatArray,
+    room: tuple[FloatArray, FloatArray, FloatArray],
+) -> None:
+    """Best yaw increments and, in place, biases and covariances after hearing some experts.
 
     The increment is unknown beforehand (a flat prior): S = dt^2 P + diag(noise), u = S^-1 1,
     psi = u z / u 1, b += dt P S^-1 (z - psi), P -= dt^2 P (S^-1 - u u' / u 1) P.
+    Who is not heard has a row and a column of zeros in S^-1.
 
     Args:
-        state: biases ``(n,)`` as predicted [rad/s] and their covariance ``(n, n)``.
-        heard: ``(n,)`` increments less the predicted biases [rad], variances of their white errors [rad^2], and how
-            many are heard: they come first in the third part of ``room``.
-        dt: duration of the step [s].
-        room: matrices and the first of the vectors are written.
+        state: biases ``(n, scenes)`` as predicted [rad/s] and their covariances ``(n, n, scenes)``.
+        heard: ``(n, scenes)`` increments less the predicted biases [rad], and variances of their white errors [rad^2],
+            infinite for who is not heard.
+        dt: ``(scenes,)`` durations of the step [s].
+        psi: ``(scenes,)`` written; NaN where nobody is heard.
+        room: ``(3, n, n, scenes)``, ``(n, scenes)`` and ``(scenes,)``, written.
     """
     bias, covariance = state
-    apart, noise, m = heard
-    inverse, cross, gain = room[0][0], room[0][1], room[0][2]
-    row, who = room[1][0], room[2]
-    n = len(bias)
-    for i in range(m):
-        for j in range(m):
-            inverse[i, j] = dt * dt * covariance[who[i], who[j]]
-        inverse[i, i] += noise[who[i]]
-    invert(inverse, m)
-    total, psi = 0.0, 0.0
-    for i in range(m):
-        row[i] = 0.0
-        for j in range(m):
-            row[i] += inverse[i, j]
-        total += row[i]
-        psi += row[i] * apart[who[i]]
-    psi /= total
-    for i in range(m):
-        for j in range(m):
-            inverse[i, j] -= row[i] * row[j] / total
+    apart, noise = heard
+    inverse, cross, turned, gain = room[0][0], room[0][1], room[0][2], room[0][0]
+    row, total = room[1], room[2]
+    n, scenes = bias.shape
     for i in range(n):
-        for j in range(m):
-            cross[i, j] = dt * covariance[i, who[j]]
-        for j in range(m):
-            change = 0.0
-            for k in range(m):
-                change += cross[i, k] * inverse[k, j]
-            gain[i, j] = change
+        for j in range(n):
+            for s in range(scenes):
+                both = (noise[i, s] < math.inf) & (noise[j, s] < math.inf)
+                inverse[i, j, s] = dt[s] * dt[s] * covariance[i, j, s] if both else 0.0
+                cross[i, j, s] = dt[s] * covariance[i, j, s]
+        for s in range(scenes):
+            inverse[i, i, s] += noise[i, s] if noise[i, s] < math.inf else 1.0
+    invert(inverse)
+    for s in range(scenes):
+        total[s], psi[s] = 0.0, 0.0
     for i in range(n):
-        for j in range(m):
-            bias[i] += gain[i, j] * apart[who[j]]  # the rows of `inverse` sum to zero: psi drops out
+        for s in range(scenes):
+            inverse[i, i, s] = inverse[i, i, s] if noise[i, s] < math.inf else 0.0
+        _clear(row[i])
+        for j in range(n):
+            _sum(inverse[i, j], row[i])
+        for s in range(scenes):
+            total[s] += row[i, s]
+            psi[s] += row[i, s] * apart[i, s]
+    for s in range(scenes):
+        psi[s] /= total[s]
+    for i in range(n):
+        for j in range(n):
+            for s in range(scenes):
+                known = row[i, s] * row[j, s] / total[s]
+                turned[j, i, s] = inverse[i, j, s] - (known if total[s] != 0.0 else 0.0)
+    for i in range(n):
+        for j in range(n):
+            _clear(gain[i, j])
+            _add(cross[i], turned[j], gain[i, j])
+        _add(gain[i], apart, bias[i])  # the columns of `turned` sum to zero: psi drops out
+    for i in range(n):
         for k in range(i + 1):
-            change = 0.0
-            for j in range(m):
-                change += gain[i, j] * cross[k, j]
-            covariance[i, k] -= change
-            covariance[k, i] = covariance[i, k]
-    return psi
+            change = turned[i, k]
+            _clear(change)
+            _add(gain[i], cross[k], change)
+            _subtract(change, covariance[i, k])
+            if k < i:
+                _copy(covariance[i, k], covariance[k, i])
 
 
 @inlined
-def step_row(
+def step(
     state: tuple[FloatArray, FloatArray],
-    told: tuple[FloatArray, FloatArray, NDArray[np.bool_]],
+    told: tuple[FloatArray, FloatArray],
     drift: FloatArray,
-    dt: float,
-    noise: FloatArray,
+    dt: FloatArray,
+    found: tuple[FloatArray, FloatArray],
     room: Room,
-) -> float:
-    """One step of one scene: the best yaw increment; NaN, with biases only aged, where nobody known votes.
+) -> None:
+    """One step: the best yaw increments; NaN, with biases only aged, where nobody known votes.
 
     Args:
-        state: biases ``(n,)`` [rad/s] and their covariance ``(n, n)``, changed in place.
-        told: ``(n,)`` increments, their calibrated standard deviations [rad], and who votes.
+        state: biases ``(n, scenes)`` [rad/s] and their covariances ``(n, n, scenes)``, changed in place.
+        told: ``(n, scenes)`` increments and their calibrated standard deviations [rad]; infinite: no vote.
         drift: ``(5, n)`` the arrays of :class:`~mixo_env.policies.drift.Drift` in order.
-        dt: duration [s].
-        noise: ``(n,)`` written: variances of the white errors as believed [rad^2], infinite for who had no vote.
+        dt: ``(scenes,)`` durations [s].
+        found: written: ``(scenes,)`` increments [rad], and ``(n, scenes)`` variances of the white errors as believed
+            [rad^2], infinite for who had no vote.
         room: see :data:`Room`.
     """
     bias, covariance = state
-    values, std, counts = told
-    n = len(values)
-    predict(bias, covariance, drift, dt)
-    apart, spread, white, weights, who = room[1][1], room[1][2], room[1][3], room[1][4], room[2]
+    values, std = told
+    psi, noise = found
+    apart, spread, white, weights = room[1][0], room[1][1], room[1][2], room[1][3]
+    centre, more = room[2][0], room[2][1:]
+    n, scenes = values.shape
+    predict(bias, covariance, drift, dt, weights)
     for i in range(n):
-        noise[i] = math.inf
-        apart[i] = values[i] - dt * (drift[0, i] + bias[i])
-        white[i] = std[i] * std[i] * drift[3, i]
-        spread[i] = math.sqrt(white[i] + dt * dt * covariance[i, i])
-    centre = likeliest(apart, spread, counts, SAFE, weights)
-    if math.isnan(centre):
-        return centre
+        for s in range(scenes):
+            apart[i, s] = values[i, s] - dt[s] * (drift[0, i] + bias[i, s])
+            white[i, s] = std[i, s] * std[i, s] * drift[3, i]
+            spread[i, s] = math.sqrt(white[i, s] + dt[s] * dt[s] * covariance[i, i, s])
+    likeliest(apart, spread, SAFE, weights, centre, more)
     for i in range(n):  # once the turn is known, so is what it adds
-        white[i] += drift[4, i] * drift[4, i] * centre * centre
-        spread[i] = math.sqrt(white[i] + dt * dt * covariance[i, i])
-    centre = likeliest(apart, spread, counts, SAFE, weights)
-    heard = 0
+        for s in range(scenes):
+            white[i, s] += drift[4, i] * drift[4, i] * centre[s] * centre[s]
+            spread[i, s] = math.sqrt(white[i, s] + dt[s] * dt[s] * covariance[i, i, s])
+    likeliest(apart, spread, SAFE, weights, centre, more)
     for i in range(n):
-        if weights[i] == 0.0:
-            continue
-        who[heard] = i
-        heard += 1
-        r = (apart[i] - centre) / spread[i]
-        trust = min(1.0, (SAFE + 1.0) / (SAFE + r * r))
-        noise[i] = spread[i] * spread[i] / trust - dt * dt * covariance[i, i]
-    return update(state, (apart, noise, heard), dt, room)
+        for s in range(scenes):
+            r = (apart[i, s] - centre[s]) / spread[i, s]
+            trust = min(1.0, (SAFE + 1.0) / (SAFE + r * r))
+            believed = spread[i, s] * spread[i, s] / trust - dt[s] * dt[s] * covariance[i, i, s]
+            noise[i, s] = believed if weights[i, s] != 0.0 else math.inf
+    update(state, (apart, noise), dt, psi, (room[0], weights, centre))
 
 
 @inlined
-def point_at(target: float, values: FloatArray, counts: NDArray[np.bool_], weights: FloatArray) -> None:
+def point_at(target: float, values: FloatArray, std: FloatArray, weights: FloatArray) -> None:
     """Write convex ``weights`` ``(n,)`` of the two votes around ``target``, so that they mix to it.
 
-    A target outside what the voters span is moved to the nearest of them.
+    A target outside what the voters span is moved to the nearest of them; for NaN all weights are zero. Who has an
+    infinite ``std`` has no vote.
     """
     low, high = -1, -1
     for i in range(len(values)):
         weights[i] = 0.0
-        if counts[i]:
+        if std[i] < math.inf:
             if values[i] <= target and (low < 0 or values[i] > values[low]):
                 low = i
             if values[i] >= target and (high < 0 or values[i] < values[high]):
                 high = i
+    if math.isnan(target):
+        return
     if low < 0 or high < 0 or values[low] == values[high]:
         weights[max(low, high)] = 1.0
         return
@@ -170,24 +259,65 @@ def point_at(target: float, values: FloatArray, counts: NDArray[np.bool_], weigh
     weights[low] = 1.0 - weights[high]
 
 
+@inlined
+def _step_blocks(
+    state: tuple[FloatArray, FloatArray],
+    told: Told,
+    drift: FloatArray,
+    found: tuple[FloatArray, FloatArray],
+    matrices: FloatArray,
+    vectors: FloatArray,
+    room: FloatArray,
+) -> bool:
+    """:func:`step_batch` with room for a block: ``(4, n, n, scenes)``, ``(8, n, scenes)``, ``(3 + ROOM, scenes)``."""
+    biases, covariances = state
+    rates, dt, std, scale, known = told
+    noise, weights = found
+    batch, n = rates.shape
+    everywhere, scenes = True, vectors.shape[2]
+    covariance, bias, values, spread, believed = matrices[3], vectors[0], vectors[1], vectors[2], vectors[3]
+    duration, psi = room[0], room[1]
+    for first in range(0, batch, AT_ONCE):
+        for s in range(scenes):
+            b = min(first + s, batch - 1)
+            duration[s] = dt[b, 0]
+            for i in range(n):
+                bias[i, s] = biases[b, i]
+                values[i, s] = rates[b, i] * duration[s]
+                spread[i, s] = std[b, i] * max(scale[b, i], BEST_SCALE) if known[b, i] else math.inf
+                for j in range(n):
+                    covariance[i, j, s] = covariances[b, i, j]
+        inner = matrices[:3], vectors[4:], room[2:]
+        step((bias, covariance), (values, spread), drift, duration, (psi, believed), inner)
+        for s in range(scenes):
+            b = min(first + s, batch - 1)
+            everywhere &= not math.isnan(psi[s])
+            for i in range(n):
+                biases[b, i], noise[b, i] = bias[i, s], believed[i, s]
+                for j in range(n):
+                    covariances[b, i, j] = covariance[i, j, s]
+            point_at(psi[s], values[:, s], spread[:, s], weights[b])
+    return everywhere
+
+
 @compiled_unchecked
 def step_batch(
     state: tuple[FloatArray, FloatArray],
-    told: tuple[FloatArray, FloatArray, NDArray[np.bool_]],
+    told: Told,
     drift: FloatArray,
-    dt: FloatArray,
-    weights: FloatArray,
+    found: tuple[FloatArray, FloatArray],
 ) -> bool:
-    """:func:`step_row` of every scene, as weights ``(batch, n)``; whether all have been decided."""
-    bias, covariance = state
-    values, std, counts = told
-    everywhere, n = True, values.shape[1]
-    noise, room = np.empty(n), (np.empty((3, n, n)), np.empty((5, n)), np.empty(n, np.int64))
-    for b in range(len(values)):
-        target = step_row((bias[b], covariance[b]), (values[b], std[b], counts[b]), drift, dt[b], noise, room)
-        if math.isnan(target):
-            weights[b] = 0.0
-            everywhere = False
-        else:
-            point_at(target, values[b], counts[b], weights[b])
-    return everywhere
+    """:func:`step` of every scene; whether all have been decided.
+
+    Args:
+        state: biases ``(batch, n)`` and covariances ``(batch, n, n)``, changed in place.
+        told: see :data:`Told`.
+        drift: as in :func:`step`.
+        found: ``(batch, n)`` written: variances of the white errors as believed, and weights, all zero where nobody
+            known votes.
+    """
+    batch, n = found[0].shape
+    if batch == 1:  # the same again, for the compiler to see that all loops over scenes are of one
+        return _step_blocks(state, told, drift, found, np.empty((4, n, n, 1)), np.empty((8, n, 1)), np.empty((3 + ROOM, 1)))
+    k = min(batch, AT_ONCE)
+    return _step_blocks(state, told, drift, found, np.empty((4, n, n, k)), np.empty((8, n, k)), np.empty((3 + ROOM, k)))

@@ -162,9 +162,8 @@ def _scale(
 def scale_row(stated: NDArray[np.float32], dt: float, std_rad: FloatArray, factor: FloatArray, std: FloatArray) -> None:
     """Write :meth:`Calibration.std` of one scene; all ``(experts,)``."""
     for e in range(len(std_rad)):
-        std[e] = std_rad[e]
-        if stated[e] > 0.0 and factor[e] < np.inf:
-            std[e] = max(factor[e] * stated[e] * dt, SMALLEST_SCALE_RAD)
+        told = (stated[e] > 0.0) & (factor[e] < np.inf)
+        std[e] = max(factor[e] * stated[e] * dt, SMALLEST_SCALE_RAD) if told else std_rad[e]
 
 
 def robust_std(values: FloatArray) -> FloatArray:

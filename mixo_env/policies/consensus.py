@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mixo_env.compiled import compiled, compiled_unchecked, inlined
+from mixo_env.compiled import compiled_unchecked, inlined
+from mixo_env.policies.blocks import AT_ONCE, gather, scatter
 from mixo_env.policies.calibration import Calibration, Past, scale_row
 from mixo_env.policies.inner import by_log, inner_folds
 from mixo_env.policies.policy import Observation, Policy, Weights
@@ -26,73 +27,148 @@ SAFE = 5.0
 ITERATIONS = 20
 SETTLED = 1e-4
 """The climb ends with a move of less than so many of the smallest standard deviation."""
+ROOM = 4
+"""Numbers a scene that :func:`likeliest` needs room for."""
 LARGEST_PRODUCT = 1e100
 """Of inverse likelihoods. Beyond it the product is folded: divided by it, and the folds are counted."""
 
 
 @inlined
-def likeliest(values: FloatArray, std: FloatArray, counts: NDArray[np.bool_], nu: float, weights: FloatArray) -> float:
+def likeliest(
+    values: FloatArray, std: FloatArray, nu: float, weights: FloatArray, centre: FloatArray, room: FloatArray
+) -> None:
     """Most likely common value of ``values`` with errors ``std`` x Student's t of ``nu`` degrees of freedom.
 
     The likelihood has several maxima where experts disagree. The search starts at the vote of highest likelihood and
     climbs by reweighted least squares, which never descends: weights (nu + 1) / (nu sigma^2 + r^2).
 
     Args:
-        values: ``(n,)``.
-        std: ``(n,)``; an infinite one has no vote.
-        counts: ``(n,)`` who votes.
+        values: ``(n, scenes)``.
+        std: ``(n, scenes)``; who has an infinite one has no vote.
         nu: degrees of freedom.
-        weights: ``(n,)`` written; they sum to one, or are all zero where nobody with a finite deviation votes.
-
-    Returns:
-        The value; NaN where nobody votes.
+        weights: ``(n, scenes)`` written; they sum to one, or are all zero where nobody votes.
+        centre: ``(scenes,)`` written: the value; NaN where nobody votes.
+        room: ``(ROOM, scenes)`` written.
     """
-    n = len(values)
-    centre, least, fewest, sharpest = math.nan, math.inf, n, math.inf
+    n, scenes = values.shape
     for j in range(n):
-        weights[j] = 0.0
-        if counts[j] and std[j] < math.inf:
-            weights[j] = 1.0 / (nu * std[j] * std[j])
-            sharpest = min(sharpest, std[j])
+        for s in range(scenes):
+            weights[j, s] = 1.0 / (nu * std[j, s] * std[j, s]) if std[j, s] < math.inf else 0.0
+    _choose(values, weights, centre, (room[0], room[1], room[2], room[3]))
+    total = room[0]
+    _climb(values, std, nu, weights, centre, (total, room[1], room[2], room[3]))
+    for j in range(n):
+        for s in range(scenes):
+            weights[j, s] = weights[j, s] / total[s] if total[s] > 0.0 else 0.0
+
+
+@inlined
+def _choose(
+    values: FloatArray,
+    weights: FloatArray,
+    centre: FloatArray,
+    room: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
+) -> None:
+    """Write the vote of highest likelihood; of the first of several."""
+    product, folds, least, fewest = room
+    n, scenes = values.shape
+    for s in range(scenes):
+        centre[s], least[s], fewest[s] = math.nan, math.inf, n
     for i in range(n):
-        if weights[i] > 0.0:
-            folds, product = 0, 1.0
-            for j in range(n):
-                if weights[j] > 0.0:
-                    apart = values[j] - values[i]
-                    product *= 1.0 + apart * apart * weights[j]
-                    if product > LARGEST_PRODUCT:
-                        folds, product = folds + 1, product / LARGEST_PRODUCT
-            if product < math.inf and (folds < fewest or (folds == fewest and product < least)):
-                centre, least, fewest = values[i], product, folds
-    if math.isnan(centre):
-        return centre
-    total = 0.0
-    for _ in range(ITERATIONS):
-        total, moved = 0.0, 0.0
+        for s in range(scenes):
+            product[s], folds[s] = 1.0, 0.0
         for j in range(n):
-            if weights[j] > 0.0:
-                apart = values[j] - centre
-                weights[j] = 1.0 / (nu * std[j] * std[j] + apart * apart)
-                total += weights[j]
-                moved += weights[j] * apart
-        move = moved / total
-        centre += move
-        if abs(move) <= SETTLED * sharpest:
-            break
+            if _multiply(values[i], values[j], weights[j], product) > 0:
+                _fold(product, folds)
+        for s in range(scenes):
+            fewer = (folds[s] < fewest[s]) | ((folds[s] == fewest[s]) & (product[s] < least[s]))
+            better = fewer & (product[s] < math.inf) & (weights[i, s] > 0.0)
+            centre[s] = values[i, s] if better else centre[s]
+            least[s] = product[s] if better else least[s]
+            fewest[s] = folds[s] if better else fewest[s]
+
+
+@inlined
+def _multiply(at: FloatArray, values: FloatArray, weights: FloatArray, product: FloatArray) -> int:
+    """Let an expert's inverse likelihood into the products; how many of them are too large now."""
+    large = 0
+    for s in range(len(product)):
+        apart = values[s] - at[s]
+        grown = product[s] * (1.0 + apart * apart * weights[s])
+        product[s] = grown
+        large += grown > LARGEST_PRODUCT
+    return large
+
+
+@inlined
+def _fold(product: FloatArray, folds: FloatArray) -> None:
+    for s in range(len(product)):
+        if product[s] > LARGEST_PRODUCT:
+            folds[s], product[s] = folds[s] + 1.0, product[s] / LARGEST_PRODUCT
+
+
+@inlined
+def _climb(
+    values: FloatArray,
+    std: FloatArray,
+    nu: float,
+    weights: FloatArray,
+    centre: FloatArray,
+    room: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
+) -> None:
+    """Move centres uphill until they have settled; weights and, as the first of ``room``, their sum are written.
+
+    A scene that has settled waits for the others of its block, unchanged.
+    """
+    total, moved, near, climbing = room
+    n, scenes = values.shape
+    for s in range(scenes):
+        near[s], climbing[s] = math.inf, 0.0 if math.isnan(centre[s]) else 1.0
     for j in range(n):
-        weights[j] /= total
-    return centre
+        for s in range(scenes):
+            near[s] = min(near[s], std[j, s])
+    for _ in range(ITERATIONS):
+        for s in range(scenes):
+            total[s], moved[s] = 0.0, 0.0
+        for j in range(n):
+            for s in range(scenes):
+                apart = values[j, s] - centre[s]
+                weight = 1.0 / (nu * std[j, s] * std[j, s] + apart * apart)
+                weight = weight if (climbing[s] > 0.0) & (weights[j, s] > 0.0) else weights[j, s]
+                weights[j, s] = weight
+                total[s] += weight
+                moved[s] += weight * apart
+        others = 0
+        for s in range(scenes):
+            move = moved[s] / total[s]
+            climbs = climbing[s] > 0.0
+            centre[s] = centre[s] + move if climbs else centre[s]
+            climbs &= abs(move) > SETTLED * near[s]
+            climbing[s] = 1.0 if climbs else 0.0
+            others += climbs
+        if others == 0:
+            break
 
 
-@compiled
+@compiled_unchecked
 def find_consensus(
     values: FloatArray, std: FloatArray, counts: NDArray[np.bool_], nu: float, weights: FloatArray
 ) -> bool:
-    """:func:`likeliest` of every row ``(batch, n)``; whether all rows have been decided."""
-    everywhere = True
-    for b in range(len(values)):
-        everywhere &= not math.isnan(likeliest(values[b], std[b], counts[b], nu, weights[b]))
+    """:func:`likeliest` of every row ``(batch, n)`` among those that count; whether all rows have been decided."""
+    batch, n = values.shape
+    scenes, everywhere = min(batch, AT_ONCE), True
+    room, centre = np.empty((ROOM, scenes)), np.empty(scenes)
+    value, spread, weight = np.empty((n, scenes)), np.empty((n, scenes)), np.empty((n, scenes))
+    for first in range(0, batch, AT_ONCE):
+        gather(values, first, value)
+        for s in range(scenes):
+            b = min(first + s, batch - 1)
+            for e in range(n):
+                spread[e, s] = std[b, e] if counts[b, e] else math.inf
+        likeliest(value, spread, nu, weight, centre, room)
+        scatter(weight, first, weights)
+        for s in range(scenes):
+            everywhere &= not math.isnan(centre[s])
     return everywhere
 
 
@@ -125,24 +201,31 @@ def _agree(
 ) -> bool:
     """Write what :func:`agreement` returns; false, and NaN how far apart, where the median must decide."""
     rates, available, stated, dt = seen
-    batch, experts = rates.shape
-    values, weights = np.empty(experts), np.empty(experts)
-    everywhere = True
-    for b in range(batch):
-        believe_row(rates[b], available[b], known[b])
-        scale_row(stated[b], dt[b, 0], std_rad, factor, std[b])
-        for e in range(experts):
-            values[e] = np.float64(rates[b, e]) * dt[b, 0]
-        if math.isnan(likeliest(values, std[b], known[b], SAFE, weights)):
-            everywhere = False
-            std[b], apart[b] = 1.0, math.nan
-            continue
-        centre = 0.0
-        for e in range(experts):
-            centre += weights[e] * values[e]
-        for e in range(experts):
-            apart[b, e] = (values[e] - centre) / std[b, e]
-            known[b, e] &= std[b, e] < math.inf
+    batch, n = rates.shape
+    scenes, everywhere = min(batch, AT_ONCE), True
+    room, centre = np.empty((ROOM, scenes)), np.empty(scenes)
+    value, spread, weight = np.empty((n, scenes)), np.empty((n, scenes)), np.empty((n, scenes))
+    for first in range(0, batch, AT_ONCE):
+        for s in range(scenes):
+            b = min(first + s, batch - 1)
+            believe_row(rates[b], available[b], known[b])
+            scale_row(stated[b], dt[b, 0], std_rad, factor, std[b])
+            for e in range(n):
+                value[e, s] = np.float64(rates[b, e]) * dt[b, 0]
+                spread[e, s] = std[b, e] if known[b, e] else math.inf
+        likeliest(value, spread, SAFE, weight, centre, room)
+        for s in range(scenes):
+            b = min(first + s, batch - 1)
+            if math.isnan(centre[s]):
+                everywhere = False
+                std[b], apart[b] = 1.0, math.nan
+                continue
+            mean = 0.0
+            for e in range(n):
+                mean += weight[e, s] * value[e, s]
+            for e in range(n):
+                apart[b, e] = (value[e, s] - mean) / std[b, e]
+                known[b, e] &= std[b, e] < math.inf
     return everywhere
 
 

@@ -12,7 +12,7 @@ from mixo_env.metrics.pairs import find_pairs, path_length
 from mixo_env.policies.calibration import Calibration
 from mixo_env.policies.playing import play
 from mixo_env.policies.robust import Mean
-from mixo_env.policies.tokens import UNIT_RAD, Memory, Seen, read, tokenise
+from mixo_env.policies.tokens import UNIT_RAD, Seen, blank_memory, read, tokenise
 from mixo_env.recordings.collection import Recordings
 
 FloatArray = NDArray[np.float64]
@@ -135,7 +135,7 @@ def broken(increment: FloatArray, rng: np.random.Generator) -> FloatArray:
 def told_in_tokens(seen: Seen) -> tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.float32]]:
     """Signals, whole and consensus of all steps, ``(scenes, steps, ...)``."""
     steps, scenes, experts = seen.increment.shape
-    memory = Memory.blank(scenes, experts)
+    memory = blank_memory(scenes, experts)
     told = [tokenise(seen_at(seen, t), memory) for t in range(steps)]
     signals, whole, consensus = (np.stack([step[j] for step in told], axis=1).astype(np.float32) for j in range(3))
     return signals, whole, consensus

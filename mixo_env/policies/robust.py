@@ -59,7 +59,7 @@ def believe_row(rates: NDArray[np.float32], available: NDArray[np.float32], coun
     for e in range(len(rates)):
         somebody |= available[e] > 0.0
     for e in range(len(rates)):
-        counted[e] = (available[e] > 0.0 or not somebody) and abs(rates[e]) < RATE_BOUND
+        counted[e] = ((available[e] > 0.0) | (not somebody)) & (abs(rates[e]) < RATE_BOUND)
         inside |= counted[e]
     if not inside:
         for e in range(len(rates)):

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from typing import Any, ClassVar
+import math
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from mixo_env.compiled import compiled
+from mixo_env.compiled import compiled, compiled_unchecked
 from mixo_env.errors import PolicyError
 from mixo_env.fusion import FloatArray
 from mixo_env.policies.bias_filter import BiasFilter
-from mixo_env.policies.bias_steps import invert, point_at, step_row
+from mixo_env.policies.bias_steps import invert, point_at, step_batch
 from mixo_env.policies.policy import Observation, Weights
 from mixo_env.policies.robust import believable, median_weights
 
@@ -24,56 +25,45 @@ SMALLEST_BIAS_RADPS = 1e-7
 """Keeps covariances invertible for an expert that never drifts."""
 
 
-@compiled
-def backward_gain(covariance: FloatArray, drift: FloatArray, dt: float) -> FloatArray:
-    """G = P F' (F P F' + Q)^-1 ``(n, n)`` of Rauch, Tung and Striebel for a step of ``dt`` that follows."""
-    n = len(covariance)
-    fade = np.exp(-dt / drift[2])
-    following = np.empty((n, n))
-    for i in range(n):
-        for j in range(n):
-            following[i, j] = fade[i] * covariance[i, j] * fade[j]
-        following[i, i] += drift[1, i] ** 2 * (1.0 - fade[i] * fade[i])
-    invert(following, n)
-    gain = np.zeros((n, n))
-    for i in range(n):
-        for j in range(n):
-            for k in range(n):
-                gain[i, j] += covariance[i, k] * fade[k] * following[k, j]
-    return gain
-
-
-@compiled
-def remember(
-    state: tuple[FloatArray, FloatArray],
-    told: tuple[Any, ...],
+@compiled_unchecked
+def lead_back(
+    covariance: FloatArray,
     drift: FloatArray,
     dt: FloatArray,
-    ring: Ring,
-    slot: int,
+    active: NDArray[np.bool_],
+    gains: FloatArray,
+    fades: FloatArray,
 ) -> None:
-    """Filter one step of every scene that is still ``active`` in the slot, and write what leads back from it.
+    """Write what leads back from a step that follows to the one before, where scenes are still ``active``.
+
+    Gains G = P F' (F P F' + Q)^-1 of Rauch, Tung and Striebel.
 
     Args:
-        state: biases ``(batch, n)`` and covariances ``(batch, n, n)``, changed in place.
-        told: ``(batch, n)`` increments, standard deviations, who votes.
-        drift: as in :func:`~mixo_env.policies.bias_steps.step_row`.
-        dt: ``(batch,)``.
-        ring: see :data:`Ring`.
-        slot: of this step.
+        covariance: P before the step that follows, ``(batch, n, n)``.
+        drift: as in :func:`~mixo_env.policies.bias_steps.step`.
+        dt: of the step that follows, ``(batch,)``.
+        active: ``(batch,)``.
+        gains: ``(batch, n, n)`` written.
+        fades: ``(batch, n)`` written: diagonal of F.
     """
-    biases, noises, gains, fades, active = ring
-    bias, covariance = state
-    values, std, counts = told
-    n = values.shape[1]
-    room = np.empty((3, n, n)), np.empty((5, n)), np.empty(n, np.int64)
-    for b in range(len(values)):
-        if active[slot, b]:
-            gains[slot, b] = backward_gain(covariance[b], drift, dt[b])
-            fades[slot, b] = np.exp(-dt[b] / drift[2])
-            here = values[b], std[b], counts[b]
-            step_row((bias[b], covariance[b]), here, drift, dt[b], noises[slot, b], room)
-            biases[slot, b] = bias[b]
+    batch, n = fades.shape
+    following = np.empty((n, n, 1))
+    for b in range(batch):
+        if not active[b]:
+            continue
+        fade = fades[b]
+        for i in range(n):
+            fade[i] = math.exp(-dt[b] / drift[2, i])
+        for i in range(n):
+            for j in range(n):
+                following[i, j, 0] = fade[i] * covariance[b, i, j] * fade[j]
+            following[i, i, 0] += drift[1, i] ** 2 * (1.0 - fade[i] * fade[i])
+        invert(following)
+        gains[b] = 0.0
+        for i in range(n):
+            for j in range(n):
+                for k in range(n):
+                    gains[b, i, j] += covariance[b, i, k] * fade[k] * following[k, j, 0]
 
 
 @compiled
@@ -106,7 +96,7 @@ def decide(
         weights[b] = 0.0
         if trust.sum() > 0.0:
             target = (trust * (values[b] - dt[b] * (constant + bias))).sum() / trust.sum()
-            point_at(target, values[b], trust > 0.0, weights[b])
+            point_at(target, values[b], ring[1][first, b], weights[b])
 
 
 class Smoother(BiasFilter):
@@ -134,10 +124,14 @@ class Smoother(BiasFilter):
 
     def preview(self, observation: Observation, active: NDArray[np.bool_]) -> None:
         """Filter a step of the future."""
-        told, dt = self._hear(observation)
         slot = self._shown % (LAG + 1)
-        self._ring[4][slot] = active
-        remember((self._bias, self._covariance), told, self._drifting, dt, self._ring, slot)
+        biases, noises, gains, fades, lasting = self._ring
+        lasting[slot] = active
+        dt = observation["dt"][:, 0].astype(np.float64)
+        lead_back(self._covariance, self._drifting, dt, active, gains[slot], fades[slot])
+        found = noises[slot], np.empty(self._bias.shape)
+        step_batch((self._bias, self._covariance), self._hear(observation), self._drifting, found)
+        biases[slot] = self._bias
         self._shown += 1
 
     def act(self, observation: Observation) -> Weights:

@@ -13,7 +13,7 @@ from mixo_env.policies.deepset import Layers, folded, train, weigh
 from mixo_env.policies.lessons import lessons
 from mixo_env.policies.policy import Observation, Policy, Weights
 from mixo_env.policies.storage import finite
-from mixo_env.policies.tokens import SIGNALS, WHOLE, Memory, read, tokenise
+from mixo_env.policies.tokens import SIGNALS, WHOLE, blank_memory, read, tokenise
 from mixo_env.recordings.collection import Recordings
 
 SMALLEST_STD = 1e-3
@@ -93,7 +93,7 @@ class Token(Policy):
 
     def reset(self, batch: int) -> None:
         """Forget how the experts did."""
-        self._memory = Memory.blank(batch, len(self.experts))
+        self._memory = blank_memory(batch, len(self.experts))
 
     def act(self, observation: Observation) -> Weights:
         """Rows ``(batch, experts)`` that sum to one; who does not vote has none."""

@@ -14,11 +14,13 @@ from numpy.typing import NDArray
 
 from mixo_env.compiled import compiled_unchecked, inlined
 from mixo_env.policies.calibration import Calibration, scale_row
-from mixo_env.policies.consensus import likeliest
+from mixo_env.policies.blocks import AT_ONCE
+from mixo_env.policies.consensus import ROOM, likeliest
 from mixo_env.policies.policy import Observation
 from mixo_env.policies.robust import believe_row
 
 FloatArray = NDArray[np.float64]
+Single = NDArray[np.float32]
 
 UNIT_RAD = 3e-4
 """0.017 deg, about the error of a good expert in one step; increments are told in it."""
@@ -41,23 +43,15 @@ _SHORT, _LONG = 0.1, 0.02
 _LEAST_DT_S = 1e-3
 
 
-class Memory(NamedTuple):
-    """What is remembered of every expert's distance from the consensus, ``(batch, experts)`` each, in UNIT_RAD.
+def blank_memory(batch: int, experts: int) -> FloatArray:
+    """What is remembered of every expert's distance from the consensus, of scenes that have not begun.
 
-    Attributes:
-        last: in the last step.
-        size: running mean of its size.
-        lean: running mean with its sign.
+    Returns:
+        ``(3, batch, experts)`` in UNIT_RAD: in the last step; running mean of its size; the same with its sign.
     """
-
-    last: FloatArray
-    size: FloatArray
-    lean: FloatArray
-
-    @classmethod
-    def blank(cls, batch: int, experts: int) -> Memory:
-        """Of scenes that have not begun."""
-        return cls(np.zeros((batch, experts)), np.ones((batch, experts)), np.zeros((batch, experts)))
+    memory = np.zeros((3, batch, experts))
+    memory[1] = 1.0
+    return memory
 
 
 class Seen(NamedTuple):
@@ -76,7 +70,7 @@ class Seen(NamedTuple):
     stated: FloatArray
     std: FloatArray
     voting: NDArray[np.bool_]
-    counts: NDArray[np.float32]
+    counts: Single
     step: FloatArray
 
 
@@ -89,108 +83,155 @@ class Tokens(NamedTuple):
         consensus: ``(batch, experts)`` weights of the Student-t consensus; they sum to one.
     """
 
-    signals: NDArray[np.float32]
-    whole: NDArray[np.float32]
+    signals: Single
+    whole: Single
     consensus: FloatArray
 
 
 def read(observation: Observation, calibration: Calibration) -> Seen:
     """Pick what becomes tokens."""
-    shape = observation["yaw_rates"].shape
-    numbers: FloatArray = np.empty((3, *shape))
-    counts = np.array([observation[name] for name in ("matches", "inliers", "residual_px", "flow_px")])
-    seen = Seen(numbers[0], numbers[1], numbers[2], np.empty(shape, np.bool_), counts, np.empty((shape[0], 2)))
-    told = tuple(observation[name] for name in ("yaw_rates", "available", "yaw_rate_std", "speed", "dt"))
-    _read(told, calibration.std_rad, calibration.factor, seen)
-    return seen
+    told = (
+        observation["yaw_rates"],
+        observation["available"],
+        observation["yaw_rate_std"],
+        observation["speed"],
+        observation["dt"],
+    )
+    counted = observation["matches"], observation["inliers"], observation["residual_px"], observation["flow_px"]
+    numbers: FloatArray = np.empty((3, *told[0].shape))
+    voting, step = np.empty(told[0].shape, np.bool_), np.empty((len(told[0]), 2))
+    counts = np.empty((4, *counted[0].shape), np.float32)
+    _read(told, counted, calibration.std_rad, calibration.factor, numbers, voting, counts, step)
+    return Seen(numbers[0], numbers[1], numbers[2], voting, counts, step)
 
 
 @compiled_unchecked
-def _read(told: tuple[NDArray[np.float32], ...], std_rad: FloatArray, factor: FloatArray, seen: Seen) -> None:
-    """Write all of ``seen`` but the counts."""
+def _read(
+    told: tuple[Single, Single, Single, Single, Single],
+    counted: tuple[Single, Single, Single, Single],
+    std_rad: FloatArray,
+    factor: FloatArray,
+    numbers: FloatArray,
+    voting: NDArray[np.bool_],
+    counts: Single,
+    step: FloatArray,
+) -> None:
+    """Write what makes :class:`Seen`; the first three parts as one."""
     rates, available, stated, speed, dt = told
+    increment, said, std = numbers[0], numbers[1], numbers[2]
     for b in range(len(rates)):
-        believe_row(rates[b], available[b], seen.voting[b])
-        scale_row(stated[b], dt[b, 0], std_rad, factor, seen.std[b])
+        believe_row(rates[b], available[b], voting[b])
+        scale_row(stated[b], dt[b, 0], std_rad, factor, std[b])
         unit = np.float64(dt[b, 0]) / UNIT_RAD
         for e in range(rates.shape[1]):
-            seen.increment[b, e] = rates[b, e] * unit
-            seen.stated[b, e] = stated[b, e] * unit
-            seen.std[b, e] /= UNIT_RAD
-        seen.step[b, 0], seen.step[b, 1] = speed[b, 0], dt[b, 0]
+            increment[b, e] = rates[b, e] * unit
+            said[b, e] = stated[b, e] * unit
+            std[b, e] /= UNIT_RAD
+        step[b, 0], step[b, 1] = speed[b, 0], dt[b, 0]
+        for c in range(counts.shape[2]):
+            for k in range(4):
+                counts[k, b, c] = counted[k][b, c]
 
 
-def tokenise(seen: Seen, memory: Memory) -> Tokens:
-    """Tokens of one step; ``memory`` goes on by it."""
+def tokenise(seen: Seen, memory: FloatArray) -> Tokens:
+    """Tokens of one step; ``memory``, as :func:`blank_memory` has it, goes on by it."""
     batch, experts = seen.increment.shape
-    inside = np.full((batch, experts, SIGNALS), np.e, np.float32)
-    signals = np.zeros((batch, experts, SIGNALS), np.float32)
-    whole = np.zeros((batch, WHOLE), np.float32)
-    consensus = np.empty((batch, experts))
-    _tokenise(seen, memory, (inside, signals), whole, consensus)
-    signals *= np.log(inside, out=inside)
-    return Tokens(signals, whole, consensus)
+    signals = np.empty((2, batch, experts, SIGNALS), np.float32)
+    whole, consensus = np.empty((batch, WHOLE), np.float32), np.empty((batch, experts))
+    _tokenise(tuple(seen), memory, signals, whole, consensus)
+    inside, factor = signals
+    factor *= np.log(inside, out=inside)
+    return Tokens(factor, whole, consensus)
 
 
 @inlined
-def _asinh(x: float, inside: NDArray[np.float32], factor: NDArray[np.float32], k: int) -> None:
+def _asinh(x: float, inside: Single, factor: Single, k: int) -> None:
     """Write the inverse hyperbolic sine as a logarithm times a sign."""
     inside[k] = abs(x) + math.sqrt(x * x + 1.0)
     factor[k] = math.copysign(1.0, x)
 
 
+@inlined
+def _signal(
+    off: float, scale: float, stated: float, memory: tuple[float, float, float], inside: Single, factor: Single
+) -> None:
+    """Write an expert's signals, all but what it counts."""
+    last, size, lean = memory
+    _asinh(off, inside, factor, 0)
+    inside[1], factor[1] = abs(off) + _FLOOR, 1.0
+    _asinh(off / scale, inside, factor, 2)
+    _asinh(last, inside, factor, 3)
+    inside[4], factor[4] = size + _FLOOR, 1.0
+    _asinh(lean, inside, factor, 5)
+    says = 1.0 if stated > 0.0 else 0.0
+    inside[6], factor[6] = max(stated, _FLOOR), says
+    inside[7], factor[7] = math.e, says
+    for k in range(8, 13):
+        inside[k], factor[k] = math.e, 0.0
+    inside[13], factor[13] = scale, 1.0
+
+
+@inlined
+def _count(counts: Single, b: int, e: int, inside: Single, factor: Single) -> None:
+    """Write the signals of an expert that counts."""
+    matches = counts[0, b, e]
+    inside[8], factor[8] = 1.0 + matches, 0.2
+    factor[9] = counts[1, b, e] / max(matches, 1.0)
+    factor[10] = counts[2, b, e]
+    inside[11], factor[11] = 1.0 + counts[3, b, e], 0.2
+    factor[12] = 1.0
+
+
 @compiled_unchecked
 def _tokenise(
-    seen: Seen,
-    memory: Memory,
-    signals: tuple[NDArray[np.float32], NDArray[np.float32]],
-    whole: NDArray[np.float32],
+    seen: tuple[FloatArray, FloatArray, FloatArray, NDArray[np.bool_], Single, FloatArray],
+    memory: FloatArray,
+    signals: Single,
+    whole: Single,
     consensus: FloatArray,
 ) -> None:
-    """Write tokens; every signal is the logarithm of the first of two arrays, e unless written, times the second.
+    """Write tokens; every signal is the logarithm of the first of two numbers times the second.
 
     Numpy takes the logarithms of all of them at once, many times as fast as one by one.
     """
-    batch, experts = seen.increment.shape
-    scale, off = np.empty(experts), np.empty(experts)
-    for b in range(batch):
-        increment, voting, weight = seen.increment[b], seen.voting[b], consensus[b]
-        for e in range(experts):
-            scale[e] = seen.std[b, e] if seen.std[b, e] < math.inf else memory.size[b, e]
-        centre = likeliest(increment, scale, voting, FREEDOM, weight)
-        spread, count, information = 0.0, 0, 0.0
-        for e in range(experts):
-            off[e] = increment[e] - centre if voting[e] else 0.0
-            spread += abs(off[e])
-            if voting[e]:
-                count += 1
-                information += 1.0 / (scale[e] * scale[e])
-        for e in range(experts):
-            inside, factor = signals[0][b, e], signals[1][b, e]
-            _asinh(off[e], inside, factor, 0)
-            inside[1], factor[1] = abs(off[e]) + _FLOOR, 1.0
-            _asinh(off[e] / scale[e], inside, factor, 2)
-            _asinh(memory.last[b, e], inside, factor, 3)
-            inside[4], factor[4] = memory.size[b, e] + _FLOOR, 1.0
-            _asinh(memory.lean[b, e], inside, factor, 5)
-            if seen.stated[b, e] > 0.0:
-                inside[6], factor[6] = max(seen.stated[b, e], _FLOOR), 1.0
-                factor[7] = 1.0
-            if e < seen.counts.shape[2]:
-                matches = seen.counts[0, b, e]
-                inside[8], factor[8] = 1.0 + matches, 0.2
-                factor[9] = seen.counts[1, b, e] / max(matches, 1.0)
-                factor[10] = seen.counts[2, b, e]
-                inside[11], factor[11] = 1.0 + seen.counts[3, b, e], 0.2
-                factor[12] = 1.0
-            inside[13], factor[13] = scale[e], 1.0
-            if voting[e]:
-                memory.last[b, e] = off[e]
-                memory.size[b, e] += _LONG * (abs(off[e]) - memory.size[b, e])
-                memory.lean[b, e] += _SHORT * (off[e] - memory.lean[b, e])
-        speed, dt = seen.step[b]
-        whole[b, 0] = 0.1 * speed
-        whole[b, 1] = math.asinh(centre * UNIT_RAD / max(dt, _LEAST_DT_S) / 0.05)
-        whole[b, 2] = math.log(spread / count + _FLOOR)
-        whole[b, 3] = 0.25 * count
-        whole[b, 4] = -0.5 * math.log(information)
+    increment, stated, std, voting, counts, step = seen
+    batch, experts = increment.shape
+    scenes = min(batch, AT_ONCE)
+    room, centre, scale = np.empty((ROOM, scenes)), np.empty(scenes), np.empty(experts)
+    values, spread = np.empty((experts, scenes)), np.empty((experts, scenes))
+    weights = np.empty((experts, scenes))
+    last, size, lean = memory[0], memory[1], memory[2]
+    for first in range(0, batch, AT_ONCE):
+        stop = min(first + AT_ONCE, batch)
+        for s in range(scenes):
+            b = min(first + s, batch - 1)
+            for e in range(experts):
+                values[e, s] = increment[b, e]
+                known = std[b, e] if std[b, e] < math.inf else size[b, e]
+                spread[e, s] = known if voting[b, e] else math.inf
+        likeliest(values, spread, FREEDOM, weights, centre, room)
+        for b in range(first, stop):
+            s = b - first
+            total, count, information = 0.0, 0, 0.0
+            for e in range(experts):
+                consensus[b, e] = weights[e, s]
+                scale[e] = std[b, e] if std[b, e] < math.inf else size[b, e]
+                off = increment[b, e] - centre[s] if voting[b, e] else 0.0
+                total += abs(off)
+                count += voting[b, e]
+                information += 1.0 / (scale[e] * scale[e]) if voting[b, e] else 0.0
+                inside, factor = signals[0, b, e], signals[1, b, e]
+                before = last[b, e], size[b, e], lean[b, e]
+                _signal(off, scale[e], stated[b, e], before, inside, factor)
+                if e < counts.shape[2]:
+                    _count(counts, b, e, inside, factor)
+                if voting[b, e]:
+                    last[b, e] = off
+                    size[b, e] += _LONG * (abs(off) - size[b, e])
+                    lean[b, e] += _SHORT * (off - lean[b, e])
+            speed, dt = step[b]
+            whole[b, 0] = 0.1 * speed
+            whole[b, 1] = math.asinh(centre[s] * UNIT_RAD / max(dt, _LEAST_DT_S) / 0.05)
+            whole[b, 2] = math.log(total / count + _FLOOR)
+            whole[b, 3] = 0.25 * count
+            whole[b, 4] = -0.5 * math.log(information)
