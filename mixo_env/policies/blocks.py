@@ -17,6 +17,16 @@ AT_ONCE = 32
 """Scenes in a block, at most: of fewer scenes there is one block of just these."""
 
 
+def shape_of(batch: int) -> tuple[int, int]:
+    """Number of blocks, and scenes in each, of ``batch`` scenes."""
+    return -(-batch // AT_ONCE), min(batch, AT_ONCE)
+
+
+def in_rows(blocks: NDArray[Any], batch: int) -> NDArray[Any]:
+    """``(blocks, .., scenes)`` -> ``(batch, ..)``."""
+    return np.moveaxis(blocks, -1, 1).reshape(-1, *blocks.shape[1:-1])[:batch]
+
+
 @inlined
 def gather(rows: NDArray[Any], first: int, block: NDArray[Any]) -> None:
     """Write ``rows`` ``(batch, n)`` of the scenes from ``first`` on to ``(n, scenes)``."""
@@ -33,8 +43,3 @@ def scatter(block: NDArray[Any], first: int, rows: NDArray[Any]) -> None:
         row = rows[min(first + s, len(rows) - 1)]
         for i in range(len(block)):
             row[i] = block[i, s]
-
-
-def in_rows(blocks: NDArray[Any], batch: int) -> NDArray[Any]:
-    """``(blocks, i, j, .., scenes)`` -> ``(batch, .., j, i)``."""
-    return np.moveaxis(blocks, -1, 1).reshape(-1, *blocks.shape[1:-1])[:batch].T

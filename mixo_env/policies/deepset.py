@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixo_env.compiled import compiled_unchecked, inlined
+from mixo_env.policies.blocks import AT_ONCE
 from mixo_env.policies.lessons import Lessons
 
 if TYPE_CHECKING:
@@ -23,9 +24,6 @@ FloatArray = NDArray[np.float64]
 Single = NDArray[np.float32]
 Layers = tuple[tuple[Single, Single], ...]
 """Weight ``(inputs, outputs)`` and bias of the four dense layers."""
-
-AT_ONCE = 32
-"""Scenes whose tokens pass the network side by side: vector units are full, and all fits into the first cache."""
 
 MOST = 3.0
 """Of what the network can add to a logarithm: a factor of twenty. An expert further off than any in training keeps the
@@ -48,16 +46,28 @@ def folded(layers: Layers, mean: NDArray[np.float32], std: NDArray[np.float32]) 
     return ((scaled, (bias - mean @ scaled).astype(np.float32)), *rest)
 
 
-def weigh(layers: Layers, told: tuple[Single, Single, FloatArray], voting: NDArray[np.bool_]) -> FloatArray:
+def packed(layers: Layers) -> Single:
+    """All numbers of a network for :func:`weigh`, ``(rows, width)``: every bias follows the rows of its weights.
+
+    The last layer has one row of weights, and its only bias fills another.
+    """
+    first, second, third, (weight, bias) = layers
+    parts = [part for layer in (first, second, third) for part in layer]
+    return np.vstack([*parts, weight.T, np.full(len(weight), bias[0], np.float32)])
+
+
+def weigh(network: Single, told: tuple[Single, Single, FloatArray], voting: NDArray[np.bool_]) -> FloatArray:
     """Softmax over the voters of log consensus + what the network adds, ``(batch, experts)``.
 
     Args:
-        layers: on inputs as they come.
-        told: signals ``(batch, experts, n)``, whole ``(batch, m)`` and consensus ``(batch, experts)``.
+        network: as :func:`packed` has it, on inputs as they come.
+        told: :class:`~mixo_env.policies.tokens.Tokens`, in blocks of scenes: signals ``(blocks, n, experts, scenes)``,
+            whole ``(blocks, m, scenes)`` and consensus ``(blocks, experts, scenes)``.
         voting: ``(batch, experts)``; one that is false has no weight.
     """
+    signals, whole, consensus = told
     weights = np.empty(voting.shape)
-    _weigh(told, voting, layers, weights)
+    _weigh((signals, whole), consensus, voting, network, weights)
     return weights
 
 
@@ -100,38 +110,38 @@ def _rectify(x: Single) -> None:
 
 @compiled_unchecked
 def _weigh(
-    told: tuple[Single, Single, FloatArray], voting: NDArray[np.bool_], layers: Layers, weights: FloatArray
+    told: tuple[Single, Single],
+    consensus: FloatArray,
+    voting: NDArray[np.bool_],
+    network: Single,
+    weights: FloatArray,
 ) -> None:
-    """:func:`weigh`; arrays of what happens inside have the scenes last."""
-    signals, whole, consensus = told
-    (first, a), (second, b), (third, c), (last, d) = layers
-    batch, experts, length = signals.shape
-    width, scenes = len(a), min(batch, AT_ONCE)
-    tokens = experts * scenes
-    x, step = np.empty((length, experts, scenes), np.float32), np.empty((whole.shape[1], scenes), np.float32)
-    one, two = np.empty((width, experts, scenes), np.float32), np.empty((width, experts, scenes), np.float32)
-    base, pooled = np.empty((width, scenes), np.float32), np.empty((width, scenes), np.float32)
-    votes, count = np.empty((experts, scenes), np.float32), np.empty(scenes, np.float32)
-    number = np.empty((1, tokens), np.float32)
-    flat_x, flat_one, flat_two = x.reshape(length, tokens), one.reshape(width, tokens), two.reshape(width, tokens)
-    for start in range(0, batch, AT_ONCE):
-        k = min(start, batch - scenes)  # the last ones overlap those before
+    """:func:`weigh`; ``told`` without the consensus."""
+    signals, whole = told
+    blocks, length, experts, scenes = signals.shape
+    batch, width, tokens = len(voting), network.shape[1], experts * scenes
+    second = length + whole.shape[1] + 1  # rows of the weights
+    third = second + width + 1
+    last = third + 2 * width + 1
+    wide, narrow = np.empty((2, width, experts, scenes), np.float32), np.empty((2, width, scenes), np.float32)
+    votes, number = np.empty((experts + 1, scenes), np.float32), np.empty((1, tokens), np.float32)
+    one, two, base, pooled, count = wide[0], wide[1], narrow[0], narrow[1], votes[experts]
+    flat_one, flat_two = one.reshape(width, tokens), two.reshape(width, tokens)
+    flat_x = signals.reshape(blocks, length, tokens)
+    for k in range(blocks):
+        first = k * AT_ONCE
         count[:], pooled[:] = 0.0, 0.0
         for s in range(scenes):
-            for i in range(len(step)):
-                step[i, s] = whole[k + s, i]
             for e in range(experts):
-                votes[e, s] = 1.0 if voting[k + s, e] else 0.0
+                votes[e, s] = 1.0 if voting[min(first + s, batch - 1), e] else 0.0
                 count[s] += votes[e, s]
-                for i in range(length):
-                    x[i, e, s] = signals[k + s, e, i]
-        _fill(a, base)
-        _dense(step, first[length:], base)
+        _fill(network[second - 1], base)
+        _dense(whole[k], network[length : second - 1], base)
         _share(base, one)
-        _dense(flat_x, first[:length], flat_one)
+        _dense(flat_x[k], network[:length], flat_one)
         _rectify(flat_one)
-        _fill(b, flat_two)
-        _dense(flat_one, second, flat_two)
+        _fill(network[third - 1], flat_two)
+        _dense(flat_one, network[second : third - 1], flat_two)
         _rectify(flat_two)
         for j in range(width):
             for e in range(experts):
@@ -139,26 +149,27 @@ def _weigh(
                     pooled[j, s] += votes[e, s] * two[j, e, s]
             for s in range(scenes):
                 pooled[j, s] /= count[s]
-        _fill(c, base)
-        _dense(pooled, third[width:], base)
+        _fill(network[last - 1], base)
+        _dense(pooled, network[third + width : last - 1], base)
         _share(base, one)
-        _dense(flat_two, third[:width], flat_one)
+        _dense(flat_two, network[third : third + width], flat_one)
         _rectify(flat_one)
-        _fill(d, number)
-        _dense(flat_one, last, number)
+        _fill(network[last + 1], number)
+        _dense(flat_one, network[last].reshape(width, 1), number)
+        for t in range(tokens):
+            number[0, t] /= np.float32(1.0) + abs(number[0, t]) / np.float32(MOST)
         for s in range(scenes):
+            b = min(first + s, batch - 1)
             largest, total = -np.inf, 0.0
             for e in range(experts):
-                told_more = number[0, e * scenes + s]
-                number[0, e * scenes + s] = told_more / (np.float32(1.0) + abs(told_more) / np.float32(MOST))
-                if voting[k + s, e]:
+                if voting[b, e]:
                     largest = max(largest, number[0, e * scenes + s])
             for e in range(experts):
-                grown = math.exp(number[0, e * scenes + s] - largest) if voting[k + s, e] else 0.0
-                weights[k + s, e] = max(consensus[k + s, e], LEAST_WEIGHT) * grown
-                total += weights[k + s, e]
+                grown = math.exp(number[0, e * scenes + s] - largest) if voting[b, e] else 0.0
+                weights[b, e] = max(consensus[k, e, s], LEAST_WEIGHT) * grown
+                total += weights[b, e]
             for e in range(experts):
-                weights[k + s, e] /= total
+                weights[b, e] /= total
 
 
 def train(

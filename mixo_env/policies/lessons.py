@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from mixo_env.envs.replay import Replay
 from mixo_env.metrics.pairs import find_pairs, path_length
+from mixo_env.policies.blocks import in_rows
 from mixo_env.policies.calibration import Calibration
 from mixo_env.policies.playing import play
 from mixo_env.policies.robust import Mean
@@ -137,8 +138,9 @@ def told_in_tokens(seen: Seen) -> tuple[NDArray[np.float32], NDArray[np.float32]
     steps, scenes, experts = seen.increment.shape
     memory = blank_memory(scenes, experts)
     told = [tokenise(seen_at(seen, t), memory) for t in range(steps)]
-    signals, whole, consensus = (np.stack([step[j] for step in told], axis=1).astype(np.float32) for j in range(3))
-    return signals, whole, consensus
+    parts = ([in_rows(step[j], scenes) for step in told] for j in range(3))
+    signals, whole, consensus = (np.stack(part, axis=1).astype(np.float32) for part in parts)
+    return np.ascontiguousarray(signals.swapaxes(2, 3)), whole, consensus
 
 
 def seen_at(seen: Seen, step: int) -> Seen:

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixo_env.policies.calibration import Calibration, Past
-from mixo_env.policies.deepset import Layers, folded, train, weigh
+from mixo_env.policies.deepset import Layers, folded, packed, train, weigh
 from mixo_env.policies.lessons import lessons
 from mixo_env.policies.policy import Observation, Policy, Weights
 from mixo_env.policies.storage import finite
-from mixo_env.policies.tokens import SIGNALS, WHOLE, blank_memory, read, tokenise
+from mixo_env.policies.tokens import SIGNALS, WHOLE, blank_memory, look
 from mixo_env.recordings.collection import Recordings
 
 SMALLEST_STD = 1e-3
@@ -89,7 +89,7 @@ class Token(Policy):
         with torch.random.fork_rng(devices=[]):
             torch.manual_seed(int(trained))
             layers = train(given, (x - mean) / std, self.hidden, self.learning_rate, self.epochs, self.batch)
-        self._layers = folded(layers, mean, std)
+        self._adopt(folded(layers, mean, std))
 
     def reset(self, batch: int) -> None:
         """Forget how the experts did."""
@@ -97,8 +97,8 @@ class Token(Policy):
 
     def act(self, observation: Observation) -> Weights:
         """Rows ``(batch, experts)`` that sum to one; who does not vote has none."""
-        seen = read(observation, self._calibration)
-        return weigh(self._layers, tokenise(seen, self._memory), seen.voting)
+        tokens, voting = look(observation, self._calibration, self._memory)
+        return weigh(self._network, tokens, voting)
 
     def settings(self) -> dict[str, Any]:
         """Width and training."""
@@ -125,7 +125,10 @@ class Token(Policy):
         self.start(self.experts)
         learned = {name: value for name, value in tensors.items() if name not in calibration.tensors()}
         values = {name: finite(name, value).astype(np.float32) for name, value in learned.items()}
-        self._layers: Layers = tuple((values[f"weight.{i}"], values[f"bias.{i}"]) for i in range(4))
+        self._adopt(tuple((values[f"weight.{i}"], values[f"bias.{i}"]) for i in range(4)))
+
+    def _adopt(self, layers: Layers) -> None:
+        self._layers, self._network = layers, packed(layers)
 
     def _know(self, experts: Sequence[str], calibration: Calibration) -> None:
         numbers = np.stack(list(calibration.tensors().values()), axis=1)

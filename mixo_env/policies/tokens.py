@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixo_env.compiled import compiled_unchecked, inlined
+from mixo_env.policies.blocks import AT_ONCE, shape_of
 from mixo_env.policies.calibration import Calibration, scale_row
-from mixo_env.policies.blocks import AT_ONCE
 from mixo_env.policies.consensus import ROOM, likeliest
 from mixo_env.policies.policy import Observation
 from mixo_env.policies.robust import believe_row
@@ -47,10 +47,11 @@ def blank_memory(batch: int, experts: int) -> FloatArray:
     """What is remembered of every expert's distance from the consensus, of scenes that have not begun.
 
     Returns:
-        ``(3, batch, experts)`` in UNIT_RAD: in the last step; running mean of its size; the same with its sign.
+        ``(blocks, 3, experts, scenes)`` in UNIT_RAD: in the last step; running mean of its size; and with its sign.
     """
-    memory = np.zeros((3, batch, experts))
-    memory[1] = 1.0
+    blocks, scenes = shape_of(batch)
+    memory = np.zeros((blocks, 3, experts, scenes))
+    memory[:, 1] = 1.0
     return memory
 
 
@@ -74,13 +75,20 @@ class Seen(NamedTuple):
     step: FloatArray
 
 
+Parts = tuple[FloatArray, FloatArray, FloatArray, NDArray[np.bool_], Single, FloatArray]
+"""Those of :class:`Seen`, which costs a compiled function more to take apart."""
+
+Told = tuple[Single, Single, Single, Single, Single, Single, Single, Single, Single]
+"""What is picked from an observation, see :func:`_told`."""
+
+
 class Tokens(NamedTuple):
-    """One step as a gate sees it.
+    """One step as a gate sees it, in blocks of scenes.
 
     Attributes:
-        signals: ``(batch, experts, SIGNALS)``.
-        whole: ``(batch, WHOLE)``.
-        consensus: ``(batch, experts)`` weights of the Student-t consensus; they sum to one.
+        signals: ``(blocks, SIGNALS, experts, scenes)``.
+        whole: ``(blocks, WHOLE, scenes)``.
+        consensus: ``(blocks, experts, scenes)`` weights of the Student-t consensus; they sum to one.
     """
 
     signals: Single
@@ -90,148 +98,209 @@ class Tokens(NamedTuple):
 
 def read(observation: Observation, calibration: Calibration) -> Seen:
     """Pick what becomes tokens."""
-    told = (
+    told = _told(observation)
+    batch, experts = told[0].shape
+    increment, stated, std = (np.empty((batch, experts)) for _ in range(3))
+    counts = np.empty((4, *observation["matches"].shape), np.float32)
+    seen = Seen(increment, stated, std, np.empty((batch, experts), np.bool_), counts, np.empty((batch, 2)))
+    _read(told, calibration.std_rad, calibration.factor, tuple(seen))
+    return seen
+
+
+def tokenise(seen: Seen, memory: FloatArray) -> Tokens:
+    """Tokens of one step; ``memory``, as :func:`blank_memory` has it, goes on by it."""
+    pairs, tokens = _room(*seen.increment.shape)
+    _tokenise(tuple(seen), memory, pairs, tokens.whole, tokens.consensus)
+    return _finished(pairs, tokens)
+
+
+def look(
+    observation: Observation, calibration: Calibration, memory: FloatArray
+) -> tuple[Tokens, NDArray[np.bool_]]:
+    """:func:`tokenise` of what is :func:`read`, and who votes, ``(batch, experts)``."""
+    told = _told(observation)
+    pairs, tokens = _room(*told[0].shape)
+    voting = np.empty(told[0].shape, np.bool_)
+    _look(told, calibration.std_rad, calibration.factor, memory, pairs, tokens.whole, tokens.consensus, voting)
+    return _finished(pairs, tokens), voting
+
+
+def _told(observation: Observation) -> Told:
+    return (
         observation["yaw_rates"],
         observation["available"],
         observation["yaw_rate_std"],
         observation["speed"],
         observation["dt"],
+        observation["matches"],
+        observation["inliers"],
+        observation["residual_px"],
+        observation["flow_px"],
     )
-    counted = observation["matches"], observation["inliers"], observation["residual_px"], observation["flow_px"]
-    numbers: FloatArray = np.empty((3, *told[0].shape))
-    voting, step = np.empty(told[0].shape, np.bool_), np.empty((len(told[0]), 2))
-    counts = np.empty((4, *counted[0].shape), np.float32)
-    _read(told, counted, calibration.std_rad, calibration.factor, numbers, voting, counts, step)
-    return Seen(numbers[0], numbers[1], numbers[2], voting, counts, step)
 
 
-@compiled_unchecked
-def _read(
-    told: tuple[Single, Single, Single, Single, Single],
-    counted: tuple[Single, Single, Single, Single],
-    std_rad: FloatArray,
-    factor: FloatArray,
-    numbers: FloatArray,
-    voting: NDArray[np.bool_],
-    counts: Single,
-    step: FloatArray,
-) -> None:
-    """Write what makes :class:`Seen`; the first three parts as one."""
-    rates, available, stated, speed, dt = told
-    increment, said, std = numbers[0], numbers[1], numbers[2]
-    for b in range(len(rates)):
-        believe_row(rates[b], available[b], voting[b])
-        scale_row(stated[b], dt[b, 0], std_rad, factor, std[b])
-        unit = np.float64(dt[b, 0]) / UNIT_RAD
-        for e in range(rates.shape[1]):
-            increment[b, e] = rates[b, e] * unit
-            said[b, e] = stated[b, e] * unit
-            std[b, e] /= UNIT_RAD
-        step[b, 0], step[b, 1] = speed[b, 0], dt[b, 0]
-        for c in range(counts.shape[2]):
-            for k in range(4):
-                counts[k, b, c] = counted[k][b, c]
-
-
-def tokenise(seen: Seen, memory: FloatArray) -> Tokens:
-    """Tokens of one step; ``memory``, as :func:`blank_memory` has it, goes on by it."""
-    batch, experts = seen.increment.shape
-    signals = np.empty((2, batch, experts, SIGNALS), np.float32)
-    whole, consensus = np.empty((batch, WHOLE), np.float32), np.empty((batch, experts))
-    _tokenise(tuple(seen), memory, signals, whole, consensus)
-    inside, factor = signals
-    factor *= np.log(inside, out=inside)
-    return Tokens(factor, whole, consensus)
-
-
-@inlined
-def _asinh(x: float, inside: Single, factor: Single, k: int) -> None:
-    """Write the inverse hyperbolic sine as a logarithm times a sign."""
-    inside[k] = abs(x) + math.sqrt(x * x + 1.0)
-    factor[k] = math.copysign(1.0, x)
-
-
-@inlined
-def _signal(
-    off: float, scale: float, stated: float, memory: tuple[float, float, float], inside: Single, factor: Single
-) -> None:
-    """Write an expert's signals, all but what it counts."""
-    last, size, lean = memory
-    _asinh(off, inside, factor, 0)
-    inside[1], factor[1] = abs(off) + _FLOOR, 1.0
-    _asinh(off / scale, inside, factor, 2)
-    _asinh(last, inside, factor, 3)
-    inside[4], factor[4] = size + _FLOOR, 1.0
-    _asinh(lean, inside, factor, 5)
-    says = 1.0 if stated > 0.0 else 0.0
-    inside[6], factor[6] = max(stated, _FLOOR), says
-    inside[7], factor[7] = math.e, says
-    for k in range(8, 13):
-        inside[k], factor[k] = math.e, 0.0
-    inside[13], factor[13] = scale, 1.0
-
-
-@inlined
-def _count(counts: Single, b: int, e: int, inside: Single, factor: Single) -> None:
-    """Write the signals of an expert that counts."""
-    matches = counts[0, b, e]
-    inside[8], factor[8] = 1.0 + matches, 0.2
-    factor[9] = counts[1, b, e] / max(matches, 1.0)
-    factor[10] = counts[2, b, e]
-    inside[11], factor[11] = 1.0 + counts[3, b, e], 0.2
-    factor[12] = 1.0
-
-
-@compiled_unchecked
-def _tokenise(
-    seen: tuple[FloatArray, FloatArray, FloatArray, NDArray[np.bool_], Single, FloatArray],
-    memory: FloatArray,
-    signals: Single,
-    whole: Single,
-    consensus: FloatArray,
-) -> None:
-    """Write tokens; every signal is the logarithm of the first of two numbers times the second.
+def _room(batch: int, experts: int) -> tuple[Single, Tokens]:
+    """Room for tokens; every signal is the logarithm of the first of two numbers times the second.
 
     Numpy takes the logarithms of all of them at once, many times as fast as one by one.
     """
+    blocks, scenes = shape_of(batch)
+    pairs: Single = np.empty((2, blocks, SIGNALS, experts, scenes), np.float32)
+    whole: Single = np.empty((blocks, WHOLE, scenes), np.float32)
+    return pairs, Tokens(pairs[1], whole, np.empty((blocks, experts, scenes)))
+
+
+def _finished(pairs: Single, tokens: Tokens) -> Tokens:
+    np.multiply(tokens.signals, np.log(pairs[0], out=pairs[0]), out=tokens.signals)
+    return tokens
+
+
+@compiled_unchecked
+def _look(
+    told: Told,
+    std_rad: FloatArray,
+    factor: FloatArray,
+    memory: FloatArray,
+    pairs: Single,
+    whole: Single,
+    consensus: FloatArray,
+    voting: NDArray[np.bool_],
+) -> None:
+    """Write what :func:`look` returns, but for the logarithms."""
+    batch, experts = voting.shape
+    increment, stated, std = np.empty((batch, experts)), np.empty((batch, experts)), np.empty((batch, experts))
+    counts, step = np.empty((4, batch, told[5].shape[1]), np.float32), np.empty((batch, 2))
+    seen = increment, stated, std, voting, counts, step
+    _read(told, std_rad, factor, seen)
+    _tokenise(seen, memory, pairs, whole, consensus)
+
+
+@compiled_unchecked
+def _read(told: Told, std_rad: FloatArray, factor: FloatArray, seen: Parts) -> None:
+    """Write the parts of :class:`Seen`."""
+    rates, available, said, speed, dt, matches, inliers, residual, flow = told
     increment, stated, std, voting, counts, step = seen
-    batch, experts = increment.shape
-    scenes = min(batch, AT_ONCE)
-    room, centre, scale = np.empty((ROOM, scenes)), np.empty(scenes), np.empty(experts)
-    values, spread = np.empty((experts, scenes)), np.empty((experts, scenes))
-    weights = np.empty((experts, scenes))
-    last, size, lean = memory[0], memory[1], memory[2]
-    for first in range(0, batch, AT_ONCE):
-        stop = min(first + AT_ONCE, batch)
+    for b in range(len(rates)):
+        believe_row(rates[b], available[b], voting[b])
+        scale_row(said[b], dt[b, 0], std_rad, factor, std[b])
+        unit = np.float64(dt[b, 0]) / UNIT_RAD
+        for e in range(rates.shape[1]):
+            increment[b, e] = rates[b, e] * unit
+            stated[b, e] = said[b, e] * unit
+            std[b, e] /= UNIT_RAD
+        for c in range(matches.shape[1]):
+            counts[0, b, c], counts[1, b, c] = matches[b, c], inliers[b, c]
+            counts[2, b, c], counts[3, b, c] = residual[b, c], flow[b, c]
+        step[b, 0], step[b, 1] = speed[b, 0], dt[b, 0]
+
+
+@compiled_unchecked
+def _tokenise(seen: Parts, memory: FloatArray, pairs: Single, whole: Single, consensus: FloatArray) -> None:
+    """Write tokens, see :func:`_room`."""
+    increment, stated, std, voting, counts, step = seen
+    batch = len(increment)
+    blocks, _, experts, scenes = memory.shape
+    numbers, steps, room = np.empty((5, experts, scenes)), np.empty((5, scenes)), np.empty((1 + ROOM, scenes))
+    values, spread, scale, off, said = numbers[0], numbers[1], numbers[2], numbers[3], numbers[4]
+    centre = room[0]
+    flat = pairs.reshape(2, blocks, SIGNALS, experts * scenes)
+    for k in range(blocks):
+        last, size, lean = memory[k, 0], memory[k, 1], memory[k, 2]
         for s in range(scenes):
-            b = min(first + s, batch - 1)
+            b = min(k * AT_ONCE + s, batch - 1)
             for e in range(experts):
-                values[e, s] = increment[b, e]
-                known = std[b, e] if std[b, e] < math.inf else size[b, e]
-                spread[e, s] = known if voting[b, e] else math.inf
-        likeliest(values, spread, FREEDOM, weights, centre, room)
-        for b in range(first, stop):
-            s = b - first
-            total, count, information = 0.0, 0, 0.0
-            for e in range(experts):
-                consensus[b, e] = weights[e, s]
-                scale[e] = std[b, e] if std[b, e] < math.inf else size[b, e]
-                off = increment[b, e] - centre[s] if voting[b, e] else 0.0
-                total += abs(off)
-                count += voting[b, e]
-                information += 1.0 / (scale[e] * scale[e]) if voting[b, e] else 0.0
-                inside, factor = signals[0, b, e], signals[1, b, e]
-                before = last[b, e], size[b, e], lean[b, e]
-                _signal(off, scale[e], stated[b, e], before, inside, factor)
-                if e < counts.shape[2]:
-                    _count(counts, b, e, inside, factor)
-                if voting[b, e]:
-                    last[b, e] = off
-                    size[b, e] += _LONG * (abs(off) - size[b, e])
-                    lean[b, e] += _SHORT * (off - lean[b, e])
-            speed, dt = step[b]
-            whole[b, 0] = 0.1 * speed
-            whole[b, 1] = math.asinh(centre[s] * UNIT_RAD / max(dt, _LEAST_DT_S) / 0.05)
-            whole[b, 2] = math.log(total / count + _FLOOR)
-            whole[b, 3] = 0.25 * count
-            whole[b, 4] = -0.5 * math.log(information)
+                values[e, s], said[e, s] = increment[b, e], stated[b, e]
+                scale[e, s] = std[b, e] if std[b, e] < math.inf else size[e, s]
+                spread[e, s] = scale[e, s] if voting[b, e] else math.inf
+            steps[0, s], steps[1, s] = step[b]
+            _count(counts[:, b], pairs[0, k], pairs[1, k], s)
+        likeliest(values, spread, FREEDOM, consensus[k], centre, room[1:])
+        _sum_up(values, spread, centre, off, steps[2:])
+        _signals(
+            (off.ravel(), scale.ravel(), said.ravel()),
+            (last.ravel(), size.ravel(), lean.ravel()),
+            flat[0, k],
+            flat[1, k],
+        )
+        _remember(off, spread, last, size, lean)
+        for s in range(scenes):
+            speed, dt, apart, count, information = steps[:, s]
+            whole[k, 0, s] = 0.1 * speed
+            whole[k, 1, s] = math.asinh(centre[s] * UNIT_RAD / max(dt, _LEAST_DT_S) / 0.05)
+            whole[k, 2, s] = math.log(apart / count + _FLOOR)
+            whole[k, 3, s] = 0.25 * count
+            whole[k, 4, s] = -0.5 * math.log(information)
+
+
+@inlined
+def _count(counts: Single, inside: Single, factor: Single, s: int) -> None:
+    """Write the signals 8 to 12 of scene ``s``: of experts that count ``(4, counting)``, and of all others."""
+    counting = counts.shape[1]
+    for e in range(inside.shape[1]):
+        for k in range(8, 13):
+            inside[k, e, s], factor[k, e, s] = math.e, 0.0
+        if e < counting:
+            matches = counts[0, e]
+            inside[8, e, s], factor[8, e, s] = 1.0 + matches, 0.2
+            factor[9, e, s] = counts[1, e] / max(matches, 1.0)
+            factor[10, e, s] = counts[2, e]
+            inside[11, e, s], factor[11, e, s] = 1.0 + counts[3, e], 0.2
+            factor[12, e, s] = 1.0
+
+
+@inlined
+def _sum_up(values: FloatArray, spread: FloatArray, centre: FloatArray, off: FloatArray, sums: FloatArray) -> None:
+    """Write distances of those that vote from the consensus; their sum, their number, and the voters' information."""
+    total, count, information = sums[0], sums[1], sums[2]
+    for s in range(len(centre)):
+        total[s], count[s], information[s] = 0.0, 0.0, 0.0
+    for e in range(len(values)):
+        for s in range(len(centre)):
+            votes = spread[e, s] < math.inf
+            off[e, s] = values[e, s] - centre[s] if votes else 0.0
+            total[s] += abs(off[e, s])
+            count[s] += 1.0 if votes else 0.0
+            information[s] += 1.0 / (spread[e, s] * spread[e, s])
+
+
+@inlined
+def _signals(
+    now: tuple[FloatArray, FloatArray, FloatArray],
+    before: tuple[FloatArray, FloatArray, FloatArray],
+    inside: Single,
+    factor: Single,
+) -> None:
+    """Write all other signals; all scenes of all experts in one row."""
+    off, scale, stated = now
+    last, size, lean = before
+    _asinh(off, inside[0], factor[0])
+    _asinh(last, inside[3], factor[3])
+    _asinh(lean, inside[5], factor[5])
+    for t in range(len(off)):
+        inside[1, t], factor[1, t] = abs(off[t]) + _FLOOR, 1.0
+        far = off[t] / scale[t]
+        inside[2, t], factor[2, t] = abs(far) + math.sqrt(far * far + 1.0), math.copysign(1.0, far)
+        inside[4, t], factor[4, t] = size[t] + _FLOOR, 1.0
+        says = 1.0 if stated[t] > 0.0 else 0.0
+        inside[6, t], factor[6, t] = max(stated[t], _FLOOR), says
+        inside[7, t], factor[7, t] = math.e, says
+        inside[13, t], factor[13, t] = scale[t], 1.0
+
+
+@inlined
+def _asinh(x: FloatArray, inside: Single, factor: Single) -> None:
+    """Write inverse hyperbolic sines as logarithms times signs."""
+    for t in range(len(x)):
+        inside[t] = abs(x[t]) + math.sqrt(x[t] * x[t] + 1.0)
+        factor[t] = math.copysign(1.0, x[t])
+
+
+@inlined
+def _remember(off: FloatArray, spread: FloatArray, last: FloatArray, size: FloatArray, lean: FloatArray) -> None:
+    """Let the memory go on by a step of those that vote."""
+    for e in range(len(off)):
+        for s in range(off.shape[1]):
+            votes, now = spread[e, s] < math.inf, off[e, s]
+            last[e, s] = now if votes else last[e, s]
+            size[e, s] += _LONG * (abs(now) - size[e, s]) if votes else 0.0
+            lean[e, s] += _SHORT * (now - lean[e, s]) if votes else 0.0
