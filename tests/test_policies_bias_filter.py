@@ -7,9 +7,11 @@ import warnings
 import numpy as np
 import pytest
 
-from mixo_env.policies.bias_filter import BEST_SCALE, BiasFilter
-from mixo_env.policies.bias_steps import invert, point_at, predict, step_row
+from mixo_env.policies.bias_filter import BiasFilter
+from mixo_env.policies.bias_steps import BEST_SCALE, invert, point_at, predict, step
+from mixo_env.policies.blocks import AT_ONCE
 from mixo_env.policies.calibration import Calibration, Past
+from mixo_env.policies.consensus import ROOM
 from mixo_env.policies.drift import Drift, summed_variance
 from mixo_env.policies.policy import Observation
 from mixo_env.policies.smoother import LAG, Smoother
@@ -62,22 +64,23 @@ def test_inverse_is_that_of_numpy() -> None:
         a = rng.standard_normal((n, n))
         matrix = a @ a.T + np.eye(n)
         expected = np.linalg.inv(matrix)
-        larger = np.full((n + 1, n + 1), np.nan)
-        larger[:n, :n] = matrix
-        invert(larger, n)
-        np.testing.assert_allclose(larger[:n, :n], expected, rtol=1e-9, atol=1e-12)
-        assert np.isnan(larger[n]).all()
+        both = np.stack([np.eye(n), matrix], axis=-1)
+        invert(both)
+        np.testing.assert_allclose(both[..., 1], expected, rtol=1e-9, atol=1e-12)
+        np.testing.assert_array_equal(both[..., 0], np.eye(n))
 
 
 def test_weights_of_two_votes_mix_to_the_target_inside_what_votes_span() -> None:
     values, weights = np.array([0.1, 0.5, 0.3, 9.0]), np.empty(4)
-    counts = np.array([True, True, True, False])
+    std = np.array([1.0, 1.0, 1.0, np.inf])
     for target, expected in ((0.4, 0.4), (0.3, 0.3), (-1.0, 0.1), (7.0, 0.5)):
-        point_at(target, values, counts, weights)
+        point_at(target, values, std, weights)
         assert float(weights @ values) == pytest.approx(expected)
         assert weights.sum() == pytest.approx(1.0)
         assert weights[3] == 0.0
         assert (weights >= 0).all()
+    point_at(np.nan, values, std, weights)
+    assert not weights.any()
 
 
 def test_filter_is_that_of_filterpy_with_a_free_yaw_increment() -> None:
@@ -88,31 +91,31 @@ def test_filter_is_that_of_filterpy_with_a_free_yaw_increment() -> None:
     rng = np.random.default_rng(1)
     drift = drift_of([0.02, 0.05, 0.01], [1.0, 5.0, 30.0])
     constants = np.stack(list(drift.tensors().values()))
-    bias, covariance = np.zeros(3), np.diag(drift.slow_radps**2)
-    room = np.empty((3, 3, 3)), np.empty((5, 3)), np.empty(3, np.int64)
+    bias, covariance = np.zeros((3, 1)), np.diag(drift.slow_radps**2)[..., None].copy()
+    room = np.empty((3, 3, 3, 1)), np.empty((4, 3, 1)), np.empty((1 + ROOM, 1))
     theirs = KalmanFilter(dim_x=4, dim_z=3)
     theirs.x, theirs.P = np.zeros((4, 1)), np.diag([*drift.slow_radps**2, 1.0])
     fade = np.exp(-DT / drift.memory_s)
     for _ in range(40):
         dt_rates = rng.standard_normal(3) * 2e-3 + 0.01
-        noise = np.empty(3)
-        told = dt_rates, np.full(3, 2e-3), np.ones(3, bool)
-        psi = step_row((bias, covariance), told, constants, DT, noise, room)
+        psi, noise = np.empty(1), np.empty((3, 1))
+        told = dt_rates[:, None].copy(), np.full((3, 1), 2e-3)
+        step((bias, covariance), told, constants, np.array([DT]), (psi, noise), room)
         theirs.predict(
             F=np.diag([*fade, 0.0]), Q=np.diag([*(drift.slow_radps**2 * (1 - fade**2)), 1e4])
         )  # the increment is forgotten and may be anything
-        theirs.update(dt_rates[:, None], R=np.diag(noise), H=np.column_stack([DT * np.eye(3), np.ones(3)]))
-        np.testing.assert_allclose(bias, theirs.x[:3, 0], atol=1e-8)
-        np.testing.assert_allclose(covariance, theirs.P[:3, :3], rtol=1e-4, atol=1e-10)
-        assert psi == pytest.approx(theirs.x[3, 0], abs=1e-7)
+        theirs.update(dt_rates[:, None], R=np.diag(noise[:, 0]), H=np.column_stack([DT * np.eye(3), np.ones(3)]))
+        np.testing.assert_allclose(bias[:, 0], theirs.x[:3, 0], atol=1e-8)
+        np.testing.assert_allclose(covariance[..., 0], theirs.P[:3, :3], rtol=1e-4, atol=1e-10)
+        assert psi[0] == pytest.approx(theirs.x[3, 0], abs=1e-7)
 
 
 def test_biases_age_to_what_they_were_on_training_scenes() -> None:
     drift = drift_of([0.02, 0.05], [1.0, 10.0])
-    bias, covariance = np.array([0.1, -0.1]), np.array([[1e-5, 1e-6], [1e-6, 1e-5]])
-    predict(bias, covariance, np.stack(list(drift.tensors().values())), 1e3)
+    bias, covariance = np.array([[0.1], [-0.1]]), np.array([[1e-5, 1e-6], [1e-6, 1e-5]])[..., None].copy()
+    predict(bias, covariance, np.stack(list(drift.tensors().values())), np.array([1e3]), np.empty((2, 1)))
     np.testing.assert_allclose(bias, 0.0, atol=1e-12)
-    np.testing.assert_allclose(covariance, np.diag(drift.slow_radps**2), atol=1e-12)
+    np.testing.assert_allclose(covariance[..., 0], np.diag(drift.slow_radps**2), atol=1e-12)
 
 
 @pytest.mark.parametrize("broken", [False, True])
@@ -138,9 +141,9 @@ def test_a_constant_bias_is_taken_off_from_the_first_step() -> None:
 def test_agreement_halves_a_variance_at_most_and_disagreement_raises_it() -> None:
     policy = ready(BiasFilter, [1e-3] * 3, drift_of([0.0] * 3, [1.0] * 3))
     for _ in range(100):
-        (_, std, _), _ = policy._hear(seen(np.array([[0.1, 0.1, 0.3]])))
-    np.testing.assert_allclose(std[0, :2], 1e-3 * BEST_SCALE)
-    assert std[0, 2] > 1e-2
+        policy.act(seen(np.array([[0.1, 0.1, 0.3]])))
+    np.testing.assert_allclose(policy._noise[0, :2], (1e-3 * BEST_SCALE) ** 2)
+    assert policy._noise[0, 2] > 1e-4
 
 
 def test_a_scene_does_not_remember_the_one_before_and_rows_do_not_mix() -> None:
@@ -153,6 +156,25 @@ def test_a_scene_does_not_remember_the_one_before_and_rows_do_not_mix() -> None:
     np.testing.assert_array_equal(first, again)
     both = [pair.act(seen(np.stack([row[::-1], row])))[1] for row in rates]
     np.testing.assert_array_equal(np.concatenate(first), both)
+
+
+@pytest.mark.parametrize("batch", [2, AT_ONCE - 1, AT_ONCE, AT_ONCE + 1, 2 * AT_ONCE + 3])
+def test_a_scene_has_the_same_bits_alone_and_among_many_with_experts_missing(batch: int) -> None:
+    rng = np.random.default_rng(batch)
+    drift = drift_of([0.02, 0.0, 0.05], [1.0, 1.0, 100.0])
+    looks = []
+    for _ in range(4):
+        looks.append(seen(0.05 * rng.standard_normal((batch, 3)), rng.random((batch, 3)) < 0.6))
+        looks[-1]["dt"] = rng.choice([0.05, 0.1], (batch, 1)).astype(np.float32)
+    std = [2e-3, 2e-3, np.inf]  # where only the third votes the median decides
+    many = ready(BiasFilter, std, drift, batch)
+    together = [many.act(look) for look in looks]
+    for k in range(batch):
+        alone = ready(BiasFilter, std, drift)
+        for look, weights in zip(looks, together, strict=True):
+            one = {name: values[k : k + 1] for name, values in look.items()}
+            np.testing.assert_array_equal(alone.act(one)[0], weights[k])
+        np.testing.assert_array_equal(alone._covariance[0], many._covariance[k])
 
 
 def test_variance_of_sums_is_the_double_sum() -> None:

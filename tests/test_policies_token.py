@@ -11,15 +11,16 @@ import torch
 from mixo_env.envs.replay import Replay
 from mixo_env.errors import PolicyError
 from mixo_env.policies import deepset, registry
+from mixo_env.policies.blocks import AT_ONCE, in_rows, shape_of
 from mixo_env.policies.calibration import Calibration, Past
 from mixo_env.policies.consensus import consensus_weights
-from mixo_env.policies.deepset import folded, heading_errors, weigh
+from mixo_env.policies.deepset import folded, heading_errors, packed, weigh
 from mixo_env.policies.fitting import check, prepare
 from mixo_env.policies.lessons import FAILURE, broken, lessons, spoil, watch
 from mixo_env.policies.playing import collect, play
 from mixo_env.policies.robust import believable
 from mixo_env.policies.token_gate import Token
-from mixo_env.policies.tokens import FREEDOM, SIGNALS, UNIT_RAD, WHOLE, Memory, read, tokenise
+from mixo_env.policies.tokens import FREEDOM, SIGNALS, UNIT_RAD, WHOLE, Tokens, blank_memory, read, tokenise
 from mixo_env.recordings.collection import Recordings
 from tests.synthetic import synthetic_recordings
 
@@ -43,10 +44,24 @@ def seen_at(drives: Recordings, policy: Token, step: int = 5):
     return {name: values[step : step + 3] for name, values in replayed.items()}
 
 
-def layers(seed: int, width: int = SIGNALS + WHOLE, hidden: int = 8) -> deepset.Layers:
+def network(seed: int, width: int = SIGNALS + WHOLE, hidden: int = 8) -> np.ndarray:
     rng = np.random.default_rng(seed)
     shapes = ((width, hidden), (hidden, hidden), (2 * hidden, hidden), (hidden, 1))
-    return tuple((rng.normal(size=s).astype(np.float32), rng.normal(size=s[1:]).astype(np.float32)) for s in shapes)
+    draw = [(rng.normal(size=s).astype(np.float32), rng.normal(size=s[1:]).astype(np.float32)) for s in shapes]
+    return packed(tuple(draw))
+
+
+def in_blocks(rows: np.ndarray) -> np.ndarray:
+    """``(batch, ..)`` -> ``(blocks, .., scenes)``, the last scene again and again at the end."""
+    blocks, scenes = shape_of(len(rows))
+    filled = rows[np.minimum(np.arange(blocks * scenes), len(rows) - 1)]
+    return np.ascontiguousarray(np.moveaxis(filled.reshape(blocks, scenes, *rows.shape[1:]), 1, -1))
+
+
+def weighed(numbers: np.ndarray, told: tuple[np.ndarray, np.ndarray, np.ndarray], voting: np.ndarray) -> np.ndarray:
+    """Weights where signals ``(batch, experts, SIGNALS)``, whole and consensus come in rows."""
+    signals, whole, consensus = told
+    return weigh(numbers, Tokens(in_blocks(signals.swapaxes(1, 2)), in_blocks(whole), in_blocks(consensus)), voting)
 
 
 def told(rng: np.random.Generator, batch: int, experts: int):
@@ -60,9 +75,9 @@ def told(rng: np.random.Generator, batch: int, experts: int):
 def test_weights_do_not_depend_on_the_order_of_the_experts() -> None:
     signals, whole, consensus, voting = told(np.random.default_rng(1), 7, 5)
     order = np.array([3, 0, 4, 2, 1])
-    weights = weigh(layers(0), (signals, whole, consensus), voting)
+    weights = weighed(network(0), (signals, whole, consensus), voting)
     turned = np.ascontiguousarray(signals[:, order]), whole, np.ascontiguousarray(consensus[:, order])
-    np.testing.assert_allclose(weigh(layers(0), turned, voting[:, order].copy()), weights[:, order], atol=1e-6)
+    np.testing.assert_allclose(weighed(network(0), turned, voting[:, order].copy()), weights[:, order], atol=1e-6)
     np.testing.assert_allclose(weights.sum(axis=1), 1.0)
     assert (weights[~voting] == 0.0).all()
 
@@ -72,17 +87,17 @@ def test_who_does_not_vote_changes_nothing() -> None:
     voting = np.array([[True, True, False, True]])
     other = signals.copy()
     other[0, 2] = 100.0
-    same = weigh(layers(0), (other, whole, consensus), voting)
-    np.testing.assert_array_equal(same, weigh(layers(0), (signals, whole, consensus), voting))
+    same = weighed(network(0), (other, whole, consensus), voting)
+    np.testing.assert_array_equal(same, weighed(network(0), (signals, whole, consensus), voting))
 
 
-@pytest.mark.parametrize("batch", [2, deepset.AT_ONCE - 1, deepset.AT_ONCE, 3 * deepset.AT_ONCE + 5])
+@pytest.mark.parametrize("batch", [2, AT_ONCE - 1, AT_ONCE, 3 * AT_ONCE + 5])
 def test_a_scene_is_weighed_as_if_it_were_alone(batch: int) -> None:
     signals, whole, consensus, voting = told(np.random.default_rng(3), batch, 5)
-    together = weigh(layers(1), (signals, whole, consensus), voting)
+    together = weighed(network(1), (signals, whole, consensus), voting)
     for k in range(batch):
         one = slice(k, k + 1)
-        alone = weigh(layers(1), (signals[one], whole[one], consensus[one]), voting[one])
+        alone = weighed(network(1), (signals[one], whole[one], consensus[one]), voting[one])
         np.testing.assert_array_equal(alone, together[one])
 
 
@@ -91,26 +106,26 @@ def test_no_network_makes_an_expert_that_the_consensus_dropped_count() -> None:
     signals[:, 2] = 1e4  # of an expert further off than any in training
     consensus = np.tile([0.5, 0.5 - 1e-6, 1e-6], (50, 1))
     everybody = np.ones((50, 3), bool)
-    trust = [weigh(layers(seed), (signals, whole, consensus), everybody)[:, 2].max() for seed in range(8)]
+    trust = [weighed(network(seed), (signals, whole, consensus), everybody)[:, 2].max() for seed in range(8)]
     assert max(trust) > 2e-6  # some of them would follow it
     assert max(trust) <= 1e-6 * np.exp(2 * deepset.MOST)
 
 
 def test_the_compiled_network_is_that_of_torch_before_it_was_folded() -> None:
     torch.manual_seed(0)
-    network = deepset._network(SIGNALS + WHOLE, 8)
-    for layer in network:
+    trainable = deepset._network(SIGNALS + WHOLE, 8)
+    for layer in trainable:
         torch.nn.init.normal_(layer.weight, std=0.3)
     rng = np.random.default_rng(3)
     signals, whole, consensus, voting = told(rng, 6, 4)
     mean, std = rng.normal(size=SIGNALS + WHOLE), rng.uniform(0.5, 2.0, SIGNALS + WHOLE)
     x = np.concatenate([signals, np.broadcast_to(whole[:, None], (6, 4, WHOLE))], axis=-1)
     with torch.no_grad():
-        added = deepset._forward(network, torch.tensor((x - mean) / std).float(), torch.tensor(voting)).numpy()
+        added = deepset._forward(trainable, torch.tensor((x - mean) / std).float(), torch.tensor(voting)).numpy()
     expected = np.where(voting, consensus * np.exp(added), 0.0)
-    trained = tuple((layer.weight.detach().numpy().T.copy(), layer.bias.detach().numpy()) for layer in network)
-    weights = weigh(
-        folded(trained, mean.astype(np.float32), std.astype(np.float32)), (signals, whole, consensus), voting
+    trained = tuple((layer.weight.detach().numpy().T.copy(), layer.bias.detach().numpy()) for layer in trainable)
+    weights = weighed(
+        packed(folded(trained, mean.astype(np.float32), std.astype(np.float32))), (signals, whole, consensus), voting
     )
     np.testing.assert_allclose(weights, expected / expected.sum(axis=1, keepdims=True), atol=1e-5)
 
@@ -138,21 +153,23 @@ def test_tokens_by_hand() -> None:
         **{name: np.array([[100.0]], np.float32) for name in ("matches", "inliers", "residual_px", "flow_px")},
     }
     ones = np.full(3, UNIT_RAD)
-    memory = Memory.blank(1, 3)
+    memory = blank_memory(1, 3)
     seen = read(look, Calibration(ones, np.array([np.inf, 0.5, np.inf])))
     np.testing.assert_allclose(seen.std, [[1.0, 1.0, 1.0]], rtol=1e-6)
     tokens = tokenise(seen, memory)
-    centre = float(tokens.consensus[0] @ seen.increment[0])
+    signals, whole, consensus = (in_rows(part, 1)[0] for part in tokens)
+    centre = float(consensus @ seen.increment[0])
     weight = 3.0 / (2.0 + (np.array([0.0, 0.0, 3.0]) - centre) ** 2)
-    np.testing.assert_allclose(tokens.consensus[0], weight / weight.sum(), atol=1e-4)
+    np.testing.assert_allclose(consensus, weight / weight.sum(), atol=1e-4)
     off = np.array([0.0, 0.0, 3.0]) - centre
-    np.testing.assert_allclose(tokens.signals[0, :, 0], np.arcsinh(off), atol=1e-5)
-    np.testing.assert_allclose(tokens.signals[0, :, 6:8], [[0, 0], [np.log(2.0), 1], [0, 0]], atol=1e-5)
-    np.testing.assert_allclose(tokens.signals[0, :, 12], [1.0, 0.0, 0.0])  # the first experts count matches
-    np.testing.assert_allclose(tokens.whole[0, [0, 3, 4]], [1.0, 0.75, -0.5 * np.log(3.0)], atol=1e-6)
-    np.testing.assert_allclose(memory.last[0], off, atol=1e-9)
-    np.testing.assert_allclose(memory.size[0], 1.0 + 0.02 * (np.abs(off) - 1.0))
-    np.testing.assert_allclose(memory.lean[0], 0.1 * off)
+    np.testing.assert_allclose(signals[0], np.arcsinh(off), atol=1e-5)
+    np.testing.assert_allclose(signals[6:8].T, [[0, 0], [np.log(2.0), 1], [0, 0]], atol=1e-5)
+    np.testing.assert_allclose(signals[12], [1.0, 0.0, 0.0])  # the first experts count matches
+    np.testing.assert_allclose(whole[[0, 3, 4]], [1.0, 0.75, -0.5 * np.log(3.0)], atol=1e-6)
+    last, size, lean = memory[0, :, :, 0]
+    np.testing.assert_allclose(last, off, atol=1e-9)
+    np.testing.assert_allclose(size, 1.0 + 0.02 * (np.abs(off) - 1.0))
+    np.testing.assert_allclose(lean, 0.1 * off)
 
 
 def test_the_loss_is_what_the_table_counts() -> None:

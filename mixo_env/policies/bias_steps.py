@@ -318,6 +318,8 @@ def step_batch(
     """
     batch, n = found[0].shape
     if batch == 1:  # the same again, for the compiler to see that all loops over scenes are of one
-        return _step_blocks(state, told, drift, found, np.empty((4, n, n, 1)), np.empty((8, n, 1)), np.empty((3 + ROOM, 1)))
+        return _step_blocks(
+            state, told, drift, found, np.empty((4, n, n, 1)), np.empty((8, n, 1)), np.empty((3 + ROOM, 1))
+        )
     k = min(batch, AT_ONCE)
     return _step_blocks(state, told, drift, found, np.empty((4, n, n, k)), np.empty((8, n, k)), np.empty((3 + ROOM, k)))

@@ -13,7 +13,7 @@ from mixo_env.policies.deepset import Layers, folded, packed, train, weigh
 from mixo_env.policies.lessons import lessons
 from mixo_env.policies.policy import Observation, Policy, Weights
 from mixo_env.policies.storage import finite
-from mixo_env.policies.tokens import SIGNALS, WHOLE, blank_memory, look
+from mixo_env.policies.tokens import SIGNALS, WHOLE, Room, blank_memory, look
 from mixo_env.recordings.collection import Recordings
 
 SMALLEST_STD = 1e-3
@@ -93,12 +93,12 @@ class Token(Policy):
 
     def reset(self, batch: int) -> None:
         """Forget how the experts did."""
-        self._memory = blank_memory(batch, len(self.experts))
+        self._memory, self._room = blank_memory(batch, len(self.experts)), Room.blank(batch, len(self.experts))
 
     def act(self, observation: Observation) -> Weights:
         """Rows ``(batch, experts)`` that sum to one; who does not vote has none."""
-        tokens, voting = look(observation, self._calibration, self._memory)
-        return weigh(self._network, tokens, voting)
+        tokens = look(observation, self._calibration, self._memory, self._room)
+        return weigh(self._network, tokens, self._room.voting)
 
     def settings(self) -> dict[str, Any]:
         """Width and training."""

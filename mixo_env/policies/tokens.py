@@ -75,6 +75,33 @@ class Seen(NamedTuple):
     step: FloatArray
 
 
+class Room(NamedTuple):
+    """Where a step is written.
+
+    Attributes:
+        pairs: ``(2, blocks, SIGNALS, experts, scenes)``: every signal is the logarithm of the first of two numbers
+            times the second. Numpy takes the logarithms of all at once, many times as fast as one by one.
+        whole, consensus: of :class:`Tokens`.
+        voting: ``(batch, experts)``.
+    """
+
+    pairs: Single
+    whole: Single
+    consensus: FloatArray
+    voting: NDArray[np.bool_]
+
+    @classmethod
+    def blank(cls, batch: int, experts: int) -> Room:
+        """For steps of so many scenes."""
+        blocks, scenes = shape_of(batch)
+        return cls(
+            np.empty((2, blocks, SIGNALS, experts, scenes), np.float32),
+            np.empty((blocks, WHOLE, scenes), np.float32),
+            np.empty((blocks, experts, scenes)),
+            np.empty((batch, experts), np.bool_),
+        )
+
+
 Parts = tuple[FloatArray, FloatArray, FloatArray, NDArray[np.bool_], Single, FloatArray]
 """Those of :class:`Seen`, which costs a compiled function more to take apart."""
 
@@ -103,26 +130,21 @@ def read(observation: Observation, calibration: Calibration) -> Seen:
     increment, stated, std = (np.empty((batch, experts)) for _ in range(3))
     counts = np.empty((4, *observation["matches"].shape), np.float32)
     seen = Seen(increment, stated, std, np.empty((batch, experts), np.bool_), counts, np.empty((batch, 2)))
-    _read(told, calibration.std_rad, calibration.factor, tuple(seen))
+    _read(told, calibration.std_rad, calibration.factor, seen[:])
     return seen
 
 
 def tokenise(seen: Seen, memory: FloatArray) -> Tokens:
     """Tokens of one step; ``memory``, as :func:`blank_memory` has it, goes on by it."""
-    pairs, tokens = _room(*seen.increment.shape)
-    _tokenise(tuple(seen), memory, pairs, tokens.whole, tokens.consensus)
-    return _finished(pairs, tokens)
+    room = Room.blank(*seen.increment.shape)
+    _tokenise(seen[:], memory, room.pairs, room.whole, room.consensus)
+    return _finished(room)
 
 
-def look(
-    observation: Observation, calibration: Calibration, memory: FloatArray
-) -> tuple[Tokens, NDArray[np.bool_]]:
-    """:func:`tokenise` of what is :func:`read`, and who votes, ``(batch, experts)``."""
-    told = _told(observation)
-    pairs, tokens = _room(*told[0].shape)
-    voting = np.empty(told[0].shape, np.bool_)
-    _look(told, calibration.std_rad, calibration.factor, memory, pairs, tokens.whole, tokens.consensus, voting)
-    return _finished(pairs, tokens), voting
+def look(observation: Observation, calibration: Calibration, memory: FloatArray, room: Room) -> Tokens:
+    """:func:`tokenise` of what is :func:`read`, in ``room``, where it is also written who votes."""
+    _look(_told(observation), calibration.std_rad, calibration.factor, memory, *room)
+    return _finished(room)
 
 
 def _told(observation: Observation) -> Told:
@@ -139,20 +161,9 @@ def _told(observation: Observation) -> Told:
     )
 
 
-def _room(batch: int, experts: int) -> tuple[Single, Tokens]:
-    """Room for tokens; every signal is the logarithm of the first of two numbers times the second.
-
-    Numpy takes the logarithms of all of them at once, many times as fast as one by one.
-    """
-    blocks, scenes = shape_of(batch)
-    pairs: Single = np.empty((2, blocks, SIGNALS, experts, scenes), np.float32)
-    whole: Single = np.empty((blocks, WHOLE, scenes), np.float32)
-    return pairs, Tokens(pairs[1], whole, np.empty((blocks, experts, scenes)))
-
-
-def _finished(pairs: Single, tokens: Tokens) -> Tokens:
-    np.multiply(tokens.signals, np.log(pairs[0], out=pairs[0]), out=tokens.signals)
-    return tokens
+def _finished(room: Room) -> Tokens:
+    inside, factor = room.pairs
+    return Tokens(np.multiply(np.log(inside, out=inside), factor, out=factor), room.whole, room.consensus)
 
 
 @compiled_unchecked
@@ -166,7 +177,7 @@ def _look(
     consensus: FloatArray,
     voting: NDArray[np.bool_],
 ) -> None:
-    """Write what :func:`look` returns, but for the logarithms."""
+    """Write what :func:`look` does, but for the logarithms."""
     batch, experts = voting.shape
     increment, stated, std = np.empty((batch, experts)), np.empty((batch, experts)), np.empty((batch, experts))
     counts, step = np.empty((4, batch, told[5].shape[1]), np.float32), np.empty((batch, 2))
@@ -196,7 +207,7 @@ def _read(told: Told, std_rad: FloatArray, factor: FloatArray, seen: Parts) -> N
 
 @compiled_unchecked
 def _tokenise(seen: Parts, memory: FloatArray, pairs: Single, whole: Single, consensus: FloatArray) -> None:
-    """Write tokens, see :func:`_room`."""
+    """Write tokens, see :class:`Room`."""
     increment, stated, std, voting, counts, step = seen
     batch = len(increment)
     blocks, _, experts, scenes = memory.shape
