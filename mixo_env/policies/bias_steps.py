@@ -42,7 +42,7 @@ def _scale(x: FloatArray, out: FloatArray) -> None:
 
 
 @inlined
-def _add(x: FloatArray, y: FloatArray, out: FloatArray) -> None:
+def _add_products(x: FloatArray, y: FloatArray, out: FloatArray) -> None:
     """Add products of ``(n, scenes)`` to ``out`` ``(scenes,)``, one after the other."""
     whole = len(x) // 4 * 4
     for k in range(0, whole, 4):  # four at once: ``out`` is loaded and stored a quarter as often
@@ -55,7 +55,7 @@ def _add(x: FloatArray, y: FloatArray, out: FloatArray) -> None:
 
 
 @inlined
-def _sum(x: FloatArray, out: FloatArray) -> None:
+def _add(x: FloatArray, out: FloatArray) -> None:
     for s in range(len(out)):
         out[s] += x[s]
 
@@ -67,7 +67,7 @@ def _subtract(x: FloatArray, out: FloatArray) -> None:
 
 
 @inlined
-def _take(x: FloatArray, y: FloatArray, out: FloatArray) -> None:
+def _subtract_product(x: FloatArray, y: FloatArray, out: FloatArray) -> None:
     """Subtract products from ``out``."""
     for s in range(len(out)):
         out[s] -= x[s] * y[s]
@@ -88,7 +88,7 @@ def invert(matrix: FloatArray) -> None:
             if i != k:
                 for j in range(n):
                     if j != k:
-                        _take(matrix[i, k], matrix[k, j], matrix[i, j])
+                        _subtract_product(matrix[i, k], matrix[k, j], matrix[i, j])
                 for s in range(scenes):
                     matrix[i, k, s] *= -pivot[s]
 
@@ -162,7 +162,7 @@ def update(
             inverse[i, i, s] = inverse[i, i, s] if noise[i, s] < math.inf else 0.0
         _clear(row[i])
         for j in range(n):
-            _sum(inverse[i, j], row[i])
+            _add(inverse[i, j], row[i])
         for s in range(scenes):
             total[s] += row[i, s]
             psi[s] += row[i, s] * apart[i, s]
@@ -176,13 +176,13 @@ def update(
     for i in range(n):
         for j in range(n):
             _clear(gain[i, j])
-            _add(cross[i], turned[j], gain[i, j])
-        _add(gain[i], apart, bias[i])  # the columns of `turned` sum to zero: psi drops out
+            _add_products(cross[i], turned[j], gain[i, j])
+        _add_products(gain[i], apart, bias[i])  # the columns of `turned` sum to zero: psi drops out
     for i in range(n):
         for k in range(i + 1):
             change = turned[i, k]
             _clear(change)
-            _add(gain[i], cross[k], change)
+            _add_products(gain[i], cross[k], change)
             _subtract(change, covariance[i, k])
             if k < i:
                 _copy(covariance[i, k], covariance[k, i])
