@@ -259,22 +259,29 @@ def point_at(target: float, values: FloatArray, std: FloatArray, weights: FloatA
     weights[low] = 1.0 - weights[high]
 
 
-@inlined
-def _step_blocks(
+@compiled_unchecked
+def step_batch(
     state: tuple[FloatArray, FloatArray],
     told: Told,
     drift: FloatArray,
     found: tuple[FloatArray, FloatArray],
-    matrices: FloatArray,
-    vectors: FloatArray,
-    room: FloatArray,
 ) -> bool:
-    """:func:`step_batch` with room for a block: ``(4, n, n, scenes)``, ``(8, n, scenes)``, ``(3 + ROOM, scenes)``."""
+    """:func:`step` of every scene; whether all have been decided.
+
+    Args:
+        state: biases ``(batch, n)`` and covariances ``(batch, n, n)``, changed in place.
+        told: see :data:`Told`.
+        drift: as in :func:`step`.
+        found: ``(batch, n)`` written: variances of the white errors as believed, and weights, all zero where nobody
+            known votes.
+    """
     biases, covariances = state
     rates, dt, std, scale, known = told
     noise, weights = found
     batch, n = rates.shape
-    everywhere, scenes = True, vectors.shape[2]
+    everywhere, scenes = True, min(batch, AT_ONCE)
+    matrices, vectors = np.empty((4, n, n, scenes)), np.empty((8, n, scenes))
+    room = np.empty((3 + ROOM, scenes))
     covariance, bias, values, spread, believed = matrices[3], vectors[0], vectors[1], vectors[2], vectors[3]
     duration, psi = room[0], room[1]
     for first in range(0, batch, AT_ONCE):
@@ -298,28 +305,3 @@ def _step_blocks(
                     covariances[b, i, j] = covariance[i, j, s]
             point_at(psi[s], values[:, s], spread[:, s], weights[b])
     return everywhere
-
-
-@compiled_unchecked
-def step_batch(
-    state: tuple[FloatArray, FloatArray],
-    told: Told,
-    drift: FloatArray,
-    found: tuple[FloatArray, FloatArray],
-) -> bool:
-    """:func:`step` of every scene; whether all have been decided.
-
-    Args:
-        state: biases ``(batch, n)`` and covariances ``(batch, n, n)``, changed in place.
-        told: see :data:`Told`.
-        drift: as in :func:`step`.
-        found: ``(batch, n)`` written: variances of the white errors as believed, and weights, all zero where nobody
-            known votes.
-    """
-    batch, n = found[0].shape
-    if batch == 1:  # the same again, for the compiler to see that all loops over scenes are of one
-        return _step_blocks(
-            state, told, drift, found, np.empty((4, n, n, 1)), np.empty((8, n, 1)), np.empty((3 + ROOM, 1))
-        )
-    k = min(batch, AT_ONCE)
-    return _step_blocks(state, told, drift, found, np.empty((4, n, n, k)), np.empty((8, n, k)), np.empty((3 + ROOM, k)))
