@@ -120,6 +120,23 @@ def predict(bias: FloatArray, covariance: FloatArray, drift: FloatArray, dt: Flo
 
 
 @inlined
+def _invert_sum(covariance: FloatArray, noise: FloatArray, dt: FloatArray, inverse: FloatArray) -> None:
+    """Write (dt^2 P + diag(noise))^-1 ``(n, n, scenes)``; who is not heard has a row and a column of zeros in it."""
+    n, scenes = noise.shape
+    for i in range(n):
+        for j in range(n):
+            for s in range(scenes):
+                both = (noise[i, s] < math.inf) & (noise[j, s] < math.inf)
+                inverse[i, j, s] = dt[s] * dt[s] * covariance[i, j, s] if both else 0.0
+        for s in range(scenes):
+            inverse[i, i, s] += noise[i, s] if noise[i, s] < math.inf else 1.0
+    invert(inverse)
+    for i in range(n):
+        for s in range(scenes):
+            inverse[i, i, s] = inverse[i, i, s] if noise[i, s] < math.inf else 0.0
+
+
+@inlined
 def update(
     state: tuple[FloatArray, FloatArray],
     heard: tuple[FloatArray, FloatArray],
@@ -131,7 +148,6 @@ def update(
 
     The increment is unknown beforehand (a flat prior): S = dt^2 P + diag(noise), u = S^-1 1,
     psi = u z / u 1, b += dt P S^-1 (z - psi), P -= dt^2 P (S^-1 - u u' / u 1) P.
-    Who is not heard has a row and a column of zeros in S^-1.
 
     Args:
         state: biases ``(n, scenes)`` as predicted [rad/s] and their covariances ``(n, n, scenes)``.
@@ -146,20 +162,10 @@ def update(
     inverse, cross, turned, gain = room[0][0], room[0][1], room[0][2], room[0][0]
     row, total = room[1], room[2]
     n, scenes = bias.shape
-    for i in range(n):
-        for j in range(n):
-            for s in range(scenes):
-                both = (noise[i, s] < math.inf) & (noise[j, s] < math.inf)
-                inverse[i, j, s] = dt[s] * dt[s] * covariance[i, j, s] if both else 0.0
-                cross[i, j, s] = dt[s] * covariance[i, j, s]
-        for s in range(scenes):
-            inverse[i, i, s] += noise[i, s] if noise[i, s] < math.inf else 1.0
-    invert(inverse)
+    _invert_sum(covariance, noise, dt, inverse)
     for s in range(scenes):
         total[s], psi[s] = 0.0, 0.0
     for i in range(n):
-        for s in range(scenes):
-            inverse[i, i, s] = inverse[i, i, s] if noise[i, s] < math.inf else 0.0
         _clear(row[i])
         for j in range(n):
             _add(inverse[i, j], row[i])
@@ -173,6 +179,10 @@ def update(
             for s in range(scenes):
                 known = row[i, s] * row[j, s] / total[s]
                 turned[j, i, s] = inverse[i, j, s] - (known if total[s] != 0.0 else 0.0)
+    for i in range(n):
+        for j in range(n):
+            for s in range(scenes):
+                cross[i, j, s] = dt[s] * covariance[i, j, s]
     for i in range(n):
         for j in range(n):
             _clear(gain[i, j])

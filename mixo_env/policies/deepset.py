@@ -108,6 +108,24 @@ def _rectify(x: Single) -> None:
             x[j, t] = max(x[j, t], np.float32(0.0))
 
 
+@inlined
+def _vote(added: Single, consensus: FloatArray, voting: NDArray[np.bool_], first: int, weights: FloatArray) -> None:
+    """Write weights of the scenes from ``first`` on: ``added`` and ``consensus`` are ``(experts, scenes)``."""
+    experts, scenes = added.shape
+    for s in range(scenes):
+        b = min(first + s, len(voting) - 1)
+        largest, total = -np.inf, 0.0
+        for e in range(experts):
+            if voting[b, e]:
+                largest = max(largest, added[e, s])
+        for e in range(experts):
+            grown = math.exp(added[e, s] - largest) if voting[b, e] else 0.0
+            weights[b, e] = max(consensus[e, s], LEAST_WEIGHT) * grown
+            total += weights[b, e]
+        for e in range(experts):
+            weights[b, e] /= total
+
+
 @compiled_unchecked
 def _weigh(
     told: tuple[Single, Single],
@@ -158,18 +176,7 @@ def _weigh(
         _dense(flat_one, network[last].reshape(width, 1), number)
         for t in range(tokens):
             number[0, t] /= np.float32(1.0) + abs(number[0, t]) / np.float32(MOST)
-        for s in range(scenes):
-            b = min(first + s, batch - 1)
-            largest, total = -np.inf, 0.0
-            for e in range(experts):
-                if voting[b, e]:
-                    largest = max(largest, number[0, e * scenes + s])
-            for e in range(experts):
-                grown = math.exp(number[0, e * scenes + s] - largest) if voting[b, e] else 0.0
-                weights[b, e] = max(consensus[k, e, s], LEAST_WEIGHT) * grown
-                total += weights[b, e]
-            for e in range(experts):
-                weights[b, e] /= total
+        _vote(number[0].reshape(experts, scenes), consensus[k], voting, first, weights)
 
 
 def train(
