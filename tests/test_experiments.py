@@ -232,7 +232,7 @@ def test_policy_names_are_found_however_they_are_spelt(recordings: Recordings) -
         "HIGHEST MATCH",
         "LINEAR",
     )
-    assert choose([], valid) == valid
+    assert choose([], valid) == choose(["all"], valid) == choose(["LINEAR", "ALL"], valid) == valid
     with pytest.raises(ConfigurationError, match="did you mean 'LINEAR'"):
         choose(["linaer"], valid)
 

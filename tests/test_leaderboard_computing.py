@@ -134,6 +134,19 @@ def test_slow_rows_are_fitted_for_whom_names_them_and_taken_where_they_lie(
     assert set(other.standings[0].left_out) == {"LINEAR", "PPO"}
 
 
+def test_all_rows_are_fitted_for_whom_asks_for_all_and_misfits_left_out(
+    recordings: Recordings, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("mixo_env.leaderboard.board.policy_names", lambda _: ("MEAN", "LINEAR", "HIGHEST MATCH"))
+    monkeypatch.setattr(Linear, "expensive", True)
+    blind = recordings.replace(replace(recordings.manifest, cameras=()))
+    unasked, asked = (build(blind, tracks=("PAPER",), policies=names) for names in ((), ("All",)))
+    assert unasked.policies == asked.policies
+    assert set(unasked.standings[0].left_out) == {"LINEAR", "HIGHEST MATCH"}
+    assert set(asked.standings[0].left_out) == {"HIGHEST MATCH"}
+    assert [row.name for row in asked.standings[0].one_fold_rows] == ["LINEAR"]
+
+
 def test_with_one_fold_weights_of_the_package_are_taken(recordings: Recordings) -> None:
     if shipped() is None:
         pytest.skip("this tree has none: `make weights`")

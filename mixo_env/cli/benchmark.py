@@ -37,7 +37,8 @@ class Benchmark:
 
     policies: tuple[str, ...] = ()
     """Rows to run; case, hyphens and underscores do not matter. Empty: all that fit these recordings, but
-    those trained by reinforcement (PPO, A2C, SAC, TD3, DQN) only where weights are at hand: fits take long."""
+    those trained by reinforcement (PPO, A2C, SAC, TD3, DQN) only where weights are at hand: fits take long.
+    `all`: those, too."""
 
     seed: int = 0
     """Of everything random: same seed, same machine, same numbers."""

@@ -26,6 +26,10 @@ RANKING_LOGS = 10
 """Drives needed before an order of rows means anything; fewer only show that everything works."""
 
 
+ALL = "all"
+"""In the place of names of rows: every row, also those that nobody would fit unasked."""
+
+
 @dataclass(frozen=True)
 class Standings:
     """The rows of one track and what stands with them.
@@ -115,7 +119,7 @@ def build(
         recordings: scenes to score; their folds divide training from test.
         tracks: to run; empty: all that differ on these recordings.
         policies: names of policies and floors, however they are spelt (case, hyphens); empty: all but those that do
-            not fit the recordings, or would be slow to fit.
+            not fit the recordings, or would be slow to fit; ``all``: these are fitted as well.
         trial: seeds, clock and policies from outside.
         folds: score scenes of these only; empty: all.
         night: score also those in no fold, unless ``folds`` says which.
@@ -127,11 +131,13 @@ def build(
         ConfigurationError: for an unknown track, policy or fold, or no workers.
         PolicyError: when a policy asked for by name does not fit the recordings.
     """
-    chosen, everything = requested(recordings, tracks, policies, tuple(trial.outside)), not policies
-    day = Contest(CrossValidation(recordings, trial, tested_folds=folds), everything)
+    chosen = requested(recordings, tracks, policies, tuple(trial.outside))
+    patient = everything(policies)
+    lenient = patient or not policies
+    day = Contest(CrossValidation(recordings, trial, tested_folds=folds), lenient, patient)
     contests, protocol = [day], day.protocol
     if protocol.folds and night and not folds and any(scene.fold == OUT_OF_DISTRIBUTION for scene in recordings.scenes):
-        contests.append(Contest(CrossValidation(recordings, trial, out_of_distribution=True), everything))
+        contests.append(Contest(CrossValidation(recordings, trial, out_of_distribution=True), lenient, patient))
     asked = [tuple(name for name in chosen if contest.shows(name)) for contest in contests]
     shown = tracks or recordings.distinct_tracks
     places = [
@@ -188,8 +194,13 @@ def _home(row: str, recordings: Recordings) -> str:
     return UNEQUAL if row in recordings.further else POLICIES[row].only_track if row in POLICIES else ""
 
 
+def everything(asked: Sequence[str]) -> bool:
+    """Whether ``all`` rows are asked for by that word, however slow to fit."""
+    return any(name.casefold() == ALL for name in asked)
+
+
 def choose(asked: Sequence[str], valid: Sequence[str]) -> tuple[str, ...]:
-    """The names asked for, in the order of the tables; all when none is asked for.
+    """The names asked for, in the order of the tables; all when none is asked for, or ``all``.
 
     Case, spaces, hyphens and underscores do not matter: ``highest-match`` is HIGHEST MATCH.
 
@@ -201,6 +212,7 @@ def choose(asked: Sequence[str], valid: Sequence[str]) -> tuple[str, ...]:
         return name.casefold().replace("-", " ").replace("_", " ")
 
     meant = {plain(name): name for name in valid}
+    asked = [] if everything(asked) else asked
     for name in asked:
         if plain(name) not in meant:
             raise ConfigurationError(unknown("policy", name, valid))

@@ -51,12 +51,13 @@ class Contest:
 
     Args:
         protocol: scenes, folds, seeds.
-        lenient: a policy that does not fit the recordings, or is too slow to fit unasked, has no row.
+        lenient: a policy that does not fit the recordings has no row.
+        patient: nor has one that is too slow to fit, unless patient.
     """
 
-    def __init__(self, protocol: CrossValidation, lenient: bool) -> None:
+    def __init__(self, protocol: CrossValidation, lenient: bool, patient: bool = False) -> None:
         """Prepare the truths."""
-        self.protocol, self._lenient = protocol, lenient
+        self.protocol, self._lenient, self._patient = protocol, lenient, patient
         self.truths = {truth: Truth(protocol.recordings, truth) for truth in protocol.truths}
         headline = protocol.truths[0]
         self.floor = 0.0
@@ -81,7 +82,7 @@ class Contest:
         """
         folds = self.protocol.tested_folds[-1:] if self.protocol.expensive(name) else None
         try:
-            if self._lenient and self.protocol.slow(name):
+            if self._lenient and not self._patient and self.protocol.slow(name):
                 self.protocol.check_fitted(name, track, folds)
             return self.scorer.row(track, self.protocol.run(name, track, folds=folds))
         except PolicyError as error:
