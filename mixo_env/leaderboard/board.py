@@ -131,8 +131,7 @@ def build(
         ConfigurationError: for an unknown track, policy or fold, or no workers.
         PolicyError: when a policy asked for by name does not fit the recordings.
     """
-    chosen = requested(recordings, tracks, policies, tuple(trial.outside))
-    patient = everything(policies)
+    chosen, patient = requested(recordings, tracks, policies, tuple(trial.outside)), everything(policies)
     lenient = patient or not policies
     day = Contest(CrossValidation(recordings, trial, tested_folds=folds), lenient, patient)
     contests, protocol = [day], day.protocol
