@@ -46,9 +46,13 @@ class FewDrives:
         """A line a row, a column a number of logs.
 
         Raises:
-            ConfigurationError: for fewer logs than are asked for, or no draw.
+            ConfigurationError: for fewer than two folds, fewer logs than are asked for, or no draw.
         """
         protocol = CrossValidation(load_recordings(None if self.recordings is None else str(self.recordings)))
+        if protocol.foreign:
+            raise ConfigurationError(
+                f"expected recordings of 2 or more folds, got {len(protocol.folds)}: record more logs"
+            )
         have = min(len(_logs(protocol.training(fold))) for fold in protocol.folds)
         if self.draws < 1 or not self.logs or not 1 <= min(self.logs) <= max(self.logs) <= have:
             raise ConfigurationError(

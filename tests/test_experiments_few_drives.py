@@ -43,3 +43,6 @@ def test_what_cannot_be_drawn_is_said_in_a_line(tmp_path: Path, caplog: pytest.L
     save_recordings(drives, tmp_path / "few")
     assert main(["--recordings", str(tmp_path / "few"), "--logs", "200"]) == 1
     assert "expected 1 or more draws of 1 to" in caplog.text
+    save_recordings(drives.select(folds=[1]), tmp_path / "one")
+    assert main(["--recordings", str(tmp_path / "one")]) == 1
+    assert "expected recordings of 2 or more folds, got 1" in caplog.text
