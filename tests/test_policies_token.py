@@ -39,6 +39,13 @@ def fitted(drives: Recordings) -> Token:
     return policy
 
 
+def knowing(drives: Recordings) -> Token:
+    """A gate that has learned nothing but how large the experts' errors are."""
+    policy = Token(epochs=0)
+    prepare(policy, drives, TRACK)
+    return policy
+
+
 def seen_at(drives: Recordings, policy: Token, step: int = 5):
     replayed = collect(drives, TRACK, policy)
     return {name: values[step : step + 3] for name, values in replayed.items()}
@@ -200,8 +207,7 @@ def test_training_lowers_what_it_is_to_lower(drives: Recordings) -> None:
 
 
 def test_spoilt_scenes_leave_a_vote_and_are_strangers_where_asked(drives: Recordings) -> None:
-    calibration = Calibration.fit(Past.read(drives, drives.voters(TRACK)))
-    seen, _, active = watch(drives, TRACK, calibration)
+    seen, _, active = watch(drives, TRACK, knowing(drives))
     changed = spoil(seen, active, np.random.default_rng(0), strangers=True)
     assert changed.voting.any(axis=2).all()
     assert np.isinf(changed.std).all()
@@ -221,8 +227,7 @@ def test_every_kind_of_failure_happens() -> None:
 
 
 def test_lessons_are_whole(drives: Recordings) -> None:
-    calibration = Calibration.fit(Past.read(drives, drives.voters(TRACK)))
-    given = lessons(drives, TRACK, calibration, 2, 0)
+    given = lessons(drives, TRACK, knowing(drives), 2, 0)
     scenes = 3 * len(drives)
     assert (
         len(given.signals) == len(given.voting) == len(given.truth) == len(given.active) == len(given.pieces) == scenes
@@ -231,8 +236,26 @@ def test_lessons_are_whole(drives: Recordings) -> None:
         assert (start < end).all()
         assert (end <= given.truth.shape[1]).all()
         assert (length > 0.0).all()
-    again = lessons(drives, TRACK, calibration, 2, 0)
+    again = lessons(drives, TRACK, knowing(drives), 2, 0)
     np.testing.assert_array_equal(given.signals, again.signals)
+
+
+def test_a_scene_in_opposite_order_has_the_same_steps_from_its_end(drives: Recordings) -> None:
+    given = lessons(drives, TRACK, knowing(drives), 1, 0, backwards=True)
+    n = len(drives)
+    assert len(given.truth) == len(given.pieces) == 3 * n
+    for scene in range(n):
+        steps = np.count_nonzero(given.active[scene])
+        for values in (given.truth, given.increment, given.voting, given.active):
+            np.testing.assert_array_equal(values[n + scene, :steps], values[scene, :steps][::-1])
+        there, back = (np.cumsum(np.concatenate([[0.0], given.truth[k, :steps]])) for k in (scene, n + scene))
+        (start, end, length), (later, earlier, same) = given.pieces[scene], given.pieces[n + scene]
+        np.testing.assert_allclose(there[end] - there[start], back[earlier] - back[later], atol=1e-4)
+        np.testing.assert_array_equal(length, same)
+    plain = lessons(drives, TRACK, knowing(drives), 1, 0)
+    for name in ("signals", "truth", "increment", "voting"):
+        kept = np.delete(getattr(given, name), np.s_[n : 2 * n], axis=0)
+        np.testing.assert_array_equal(kept, getattr(plain, name))
 
 
 def test_a_saved_gate_gives_the_same_weights(drives: Recordings, fitted: Token, tmp_path) -> None:

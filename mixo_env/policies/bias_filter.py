@@ -28,6 +28,10 @@ class BiasFilter(Policy):
     robust camera updates; among visual odometries it splits who is right in the short and in the long run. All
     constants are measured on the training scenes; the variance of e_i follows recent agreement with the consensus
     (adaptive filtering, Mehra 1970), down to half of what was measured.
+
+    Attributes:
+        apart: ``(batch, experts)`` increments of the last step less the biases predicted for it [rad].
+        left: ``(batch, experts)`` standard deviations of what is left of their errors [rad]; infinite: no vote.
     """
 
     name = "BIAS FILTER"
@@ -41,7 +45,7 @@ class BiasFilter(Policy):
     def reset(self, batch: int) -> None:
         """Every bias is 0, as uncertain as it was on the training scenes; nobody has disagreed yet."""
         self._bias = np.zeros((batch, len(self.experts)))
-        self._noise = np.empty_like(self._bias)
+        self._noise, self.apart, self.left = (np.empty_like(self._bias) for _ in range(3))
         self._covariance = np.tile(np.diag(self._drift.slow_radps**2), (batch, 1, 1))
         self._recent = Recent(batch, len(self.experts))
 
@@ -49,7 +53,8 @@ class BiasFilter(Policy):
         """Rows ``(batch, experts)`` that sum to one."""
         weights = np.empty(self._bias.shape)
         state = self._bias, self._covariance
-        if not step_batch(state, self._hear(observation), self._constants, (self._noise, weights)):
+        found = self._noise, weights, self.apart, self.left
+        if not step_batch(state, self._hear(observation), self._constants, found):
             undecided = ~weights.any(axis=1)
             increments = observation["yaw_rates"].astype(np.float64) * observation["dt"]
             weights[undecided] = median_weights(increments[undecided], believable(observation)[undecided])

@@ -216,7 +216,8 @@ def step(
         dt: ``(scenes,)`` durations [s].
         found: written: ``(scenes,)`` increments [rad], and ``(n, scenes)`` variances of the white errors as believed
             [rad^2], infinite for who had no vote.
-        room: see :data:`Room`.
+        room: see :data:`Room`; the first two of its vectors are left with the increments less the predicted biases,
+            and with the standard deviations of what is left of their errors [rad].
     """
     bias, covariance = state
     values, std = told
@@ -274,7 +275,7 @@ def step_batch(
     state: tuple[FloatArray, FloatArray],
     told: Told,
     drift: FloatArray,
-    found: tuple[FloatArray, FloatArray],
+    found: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
 ) -> bool:
     """:func:`step` of every scene; whether all have been decided.
 
@@ -282,12 +283,13 @@ def step_batch(
         state: biases ``(batch, n)`` and covariances ``(batch, n, n)``, changed in place.
         told: see :data:`Told`.
         drift: as in :func:`step`.
-        found: ``(batch, n)`` written: variances of the white errors as believed, and weights, all zero where nobody
-            known votes.
+        found: ``(batch, n)`` written: variances of the white errors as believed; weights, all zero where nobody
+            known votes; increments less the biases predicted before the step [rad]; and standard deviations of what is
+            left of their errors [rad], infinite for who had no vote.
     """
     biases, covariances = state
     rates, dt, std, scale, known = told
-    noise, weights = found
+    noise, weights, apart, left = found
     batch, n = rates.shape
     everywhere, scenes = True, min(batch, AT_ONCE)
     matrices, vectors = np.empty((4, n, n, scenes)), np.empty((8, n, scenes))
@@ -311,6 +313,7 @@ def step_batch(
             everywhere &= not math.isnan(psi[s])
             for i in range(n):
                 biases[b, i], noise[b, i] = bias[i, s], believed[i, s]
+                apart[b, i], left[b, i] = vectors[4, i, s], vectors[5, i, s]
                 for j in range(n):
                     covariances[b, i, j] = covariance[i, j, s]
             point_at(psi[s], values[:, s], spread[:, s], weights[b])

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,10 +12,10 @@ from numpy.typing import NDArray
 from mixo_env.envs.replay import Replay
 from mixo_env.metrics.pairs import find_pairs, path_length
 from mixo_env.policies.blocks import in_rows
-from mixo_env.policies.calibration import Calibration
 from mixo_env.policies.playing import play
+from mixo_env.policies.policy import Observation
 from mixo_env.policies.robust import Mean
-from mixo_env.policies.tokens import UNIT_RAD, Seen, blank_memory, read, tokenise
+from mixo_env.policies.tokens import UNIT_RAD, Seen, blank_memory, tokenise
 from mixo_env.recordings.collection import Recordings
 
 FloatArray = NDArray[np.float64]
@@ -24,6 +26,17 @@ DROPOUT, FAILURE = 0.5, 0.5
 
 SMALLEST, LARGEST = 2.0, 1000.0
 """[UNIT_RAD] Errors of a broken expert, evenly in their logarithm: from what hardly matters to 17 degrees a step."""
+
+
+class Pupil(Protocol):
+    """A gate over tokens: what it sees of an observation becomes them."""
+
+    def reset(self, batch: int) -> None:
+        """``batch`` scenes start."""
+
+    def see(self, observation: Observation) -> Seen:
+        """Of one step of all scenes, after those before it."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -50,7 +63,9 @@ class Lessons:
     pieces: tuple[Piece, ...]
 
 
-def lessons(training: Recordings, track: str, calibration: Calibration, spoilt: int, seed: int) -> Lessons:
+def lessons(
+    training: Recordings, track: str, pupil: Pupil, spoilt: int, seed: int, *, backwards: bool = False
+) -> Lessons:
     """Training scenes, and ``spoilt`` times the same with experts that drop out or break.
 
     In every other of those nothing is known of the experts beforehand: so a gate learns to judge strangers.
@@ -58,26 +73,45 @@ def lessons(training: Recordings, track: str, calibration: Calibration, spoilt: 
     Args:
         training: with true increments.
         track: whose experts vote.
-        calibration: of the voters.
+        pupil: who is to learn.
         spoilt: spoilt versions of each scene.
         seed: of what befalls them.
+        backwards: also every scene in the opposite order of its steps, with the same turns and errors: what lasts,
+            lasts as long, and what led to it is new.
     """
     rng = np.random.default_rng(seed)
-    seen, truth, active = watch(training, track, calibration)
-    versions = [seen, *(spoil(seen, active, rng, strangers=k % 2 == 0) for k in range(spoilt))]
+    seen, truth, active = watch(training, track, pupil)
+    versions, truths, paths = [seen], [truth], [pieces(training)]
+    if backwards:
+        last_first, truth_back, _ = watch(in_opposite_order(training), track, pupil)
+        versions, truths, paths = [seen, last_first], [truth, truth_back], [paths[0], mirrored(paths[0], active)]
+    versions += [spoil(seen, active, rng, strangers=k % 2 == 0) for k in range(spoilt)]
     told = [told_in_tokens(one) for one in versions]
     return Lessons(
         *(np.concatenate([parts[j] for parts in told]) for j in range(3)),
         voting=_scenes_first([one.voting for one in versions]),
         increment=_scenes_first([one.increment for one in versions]).astype(np.float32),
-        truth=_scenes_first([truth] * len(versions)).astype(np.float32),
+        truth=_scenes_first([*truths, *[truth] * spoilt]).astype(np.float32),
         active=_scenes_first([active] * len(versions)),
         beside=np.full((active.shape[1] * len(versions), len(active)), np.nan, np.float32),
-        pieces=pieces(training) * len(versions),
+        pieces=tuple(itertools.chain(*paths, *[paths[0]] * spoilt)),
     )
 
 
-def watch(training: Recordings, track: str, calibration: Calibration) -> tuple[Seen, FloatArray, NDArray[np.bool_]]:
+def in_opposite_order(recordings: Recordings) -> Recordings:
+    """Every scene from its last step to its first; poses, which no longer follow from the steps, mean nothing."""
+    bounds = itertools.pairwise(recordings.offsets.tolist())
+    rows = np.concatenate([[first, *range(stop - 1, first, -1)] for first, stop in bounds])
+    return recordings.replace(columns={name: recordings[name][rows] for name in recordings.column_names})
+
+
+def mirrored(paths: tuple[Piece, ...], active: NDArray[np.bool_]) -> tuple[Piece, ...]:
+    """The same pieces of path where the steps are in opposite order; ``active`` is ``(steps, scenes)``."""
+    steps = np.count_nonzero(active, axis=0)
+    return tuple((n - end, n - start, length) for n, (start, end, length) in zip(steps, paths, strict=True))
+
+
+def watch(training: Recordings, track: str, pupil: Pupil) -> tuple[Seen, FloatArray, NDArray[np.bool_]]:
     """All scenes side by side: what is seen, with ``(steps, scenes)`` in front, true increments, and who still drives.
 
     Counts keep their four kinds in front. What is seen does not depend on the weights, but for the previous yaw rate,
@@ -85,10 +119,11 @@ def watch(training: Recordings, track: str, calibration: Calibration) -> tuple[S
     """
     anybody = Mean()
     anybody.start(training.voters(track))
+    pupil.reset(len(training))
     steps, truth, active = [], [], []
     for driving, look, _ in play(anybody, Replay(training, track=track, privileged=True, keep_trajectories=False)):
         active.append(driving)
-        steps.append(read(look, calibration))
+        steps.append(pupil.see(look))
         truth.append((look["truth_yaw_rate"] * look["dt"])[:, 0].astype(np.float64) / UNIT_RAD)
     counts = np.stack([step.counts for step in steps], axis=1)
     stacked = {name: np.stack([getattr(one, name) for one in steps]) for name in Seen._fields if name != "counts"}

@@ -26,6 +26,7 @@ from mixo_env.policies.smoother import Smoother
 from mixo_env.policies.softmin import Softmin
 from mixo_env.policies.tandem import Tandem
 from mixo_env.policies.token_gate import Token
+from mixo_env.policies.trio import Trio
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.variants import variants
 
@@ -34,7 +35,7 @@ POLICIES: dict[str, type[Policy]] = {
     for policy in (
         *(HighestMatch, Mean, Median, Linear, LinearSimplex),
         *(InverseVariance, CovarianceIntersection, Huber, StudentT, Softmin, FixedShare, BiasFilter),
-        *(LinearGate, Mixo, Token, Tandem, *AGENTS.values()),
+        *(LinearGate, Mixo, Token, Tandem, Trio, *AGENTS.values()),
         *(Smoother, MulticameraGT, OracleAll, OracleHull),
     )
 }

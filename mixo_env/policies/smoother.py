@@ -129,7 +129,7 @@ class Smoother(BiasFilter):
         lasting[slot] = active
         dt = observation["dt"][:, 0].astype(np.float64)
         lead_back(self._covariance, self._drifting, dt, active, gains[slot], fades[slot])
-        found = noises[slot], np.empty(self._bias.shape)
+        found = noises[slot], np.empty(self._bias.shape), self.apart, self.left
         step_batch((self._bias, self._covariance), self._hear(observation), self._drifting, found)
         biases[slot] = self._bias
         self._shown += 1

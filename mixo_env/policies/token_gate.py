@@ -13,7 +13,7 @@ from mixo_env.policies.deepset import Layers, folded, packed, train, weigh
 from mixo_env.policies.lessons import lessons
 from mixo_env.policies.policy import Observation, Policy, Weights
 from mixo_env.policies.storage import finite
-from mixo_env.policies.tokens import SIGNALS, WHOLE, Room, blank_memory, look
+from mixo_env.policies.tokens import SIGNALS, WHOLE, Room, Seen, blank_memory, look, read
 from mixo_env.recordings.collection import Recordings
 
 SMALLEST_STD = 1e-3
@@ -46,10 +46,20 @@ class Token(Policy):
         epochs: int = 25,
         batch: int = 16,
         spoilt: int = 1,
+        backwards: bool = False,
     ) -> None:
-        """Set width, training, scenes in an update, and spoilt versions of every training scene."""
+        """Set width, training, scenes in an update, and what is made of every training scene.
+
+        Args:
+            hidden: width of all layers but the last.
+            learning_rate: of all updates.
+            epochs: how often all scenes and their versions come round.
+            batch: scenes in an update, at most.
+            spoilt: versions with experts that drop out and break.
+            backwards: also the scene in the opposite order of its steps.
+        """
         self.hidden, self.learning_rate, self.epochs = hidden, learning_rate, epochs
-        self.batch, self.spoilt = batch, spoilt
+        self.batch, self.spoilt, self.backwards = batch, spoilt, backwards
         self._known: dict[str, Sequence[float]] = {}
 
     def start(self, voters: Sequence[str]) -> None:
@@ -79,7 +89,7 @@ class Token(Policy):
         self._know(experts, Calibration.fit(Past.read(training, experts)))
         super().fit(training, track)
         drawn, trained = np.random.SeedSequence(seed).generate_state(2)
-        given = lessons(training, track, self._calibration, self.spoilt, int(drawn))
+        given = lessons(training, track, self, self.spoilt, int(drawn), backwards=self.backwards)
         if beside is not None:
             given.beside[: len(beside)] = beside
         x = _inputs(given.signals, given.whole)
@@ -95,6 +105,10 @@ class Token(Policy):
         """Forget how the experts did."""
         self._memory, self._room = blank_memory(batch, len(self.experts)), Room.blank(batch, len(self.experts))
 
+    def see(self, observation: Observation) -> Seen:
+        """What becomes tokens."""
+        return read(observation, self._calibration)
+
     def act(self, observation: Observation) -> Weights:
         """Rows ``(batch, experts)`` that sum to one; who does not vote has none."""
         tokens = look(observation, self._calibration, self._memory, self._room)
@@ -102,7 +116,8 @@ class Token(Policy):
 
     def settings(self) -> dict[str, Any]:
         """Width and training."""
-        return {name: getattr(self, name) for name in ("hidden", "learning_rate", "epochs", "batch", "spoilt")}
+        names = ("hidden", "learning_rate", "epochs", "batch", "spoilt", "backwards")
+        return {name: getattr(self, name) for name in names}
 
     def tensors(self) -> dict[str, NDArray[Any]]:
         """Calibration and network."""

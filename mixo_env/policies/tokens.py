@@ -147,6 +147,33 @@ def look(observation: Observation, calibration: Calibration, memory: FloatArray,
     return _finished(room)
 
 
+def look_past(
+    observation: Observation,
+    calibration: Calibration,
+    biases: tuple[FloatArray, FloatArray],
+    memory: FloatArray,
+    room: Room,
+) -> Tokens:
+    """:func:`look` where a filter has taken biases off.
+
+    Args:
+        observation: of the step.
+        calibration: of the voters; in its place the filter tells how sure it is of each.
+        biases: ``(batch, experts)`` increments less their biases, and standard deviations of what is left [rad].
+        memory: goes on by the step.
+        room: written.
+    """
+    apart, left = biases
+    _look_past(_told(observation), calibration.std_rad, calibration.factor, apart, left, memory, *room)
+    return _finished(room)
+
+
+def past(seen: Seen, biases: tuple[FloatArray, FloatArray]) -> Seen:
+    """What :func:`look_past` makes tokens of."""
+    apart, left = biases
+    return seen._replace(increment=apart / UNIT_RAD, std=left / UNIT_RAD)
+
+
 def _told(observation: Observation) -> Told:
     return (
         observation["yaw_rates"],
@@ -183,6 +210,31 @@ def _look(
     counts, step = np.empty((4, batch, told[5].shape[1]), np.float32), np.empty((batch, 2))
     seen = increment, stated, std, voting, counts, step
     _read(told, std_rad, factor, seen)
+    _tokenise(seen, memory, pairs, whole, consensus)
+
+
+@compiled_unchecked
+def _look_past(
+    told: Told,
+    std_rad: FloatArray,
+    factor: FloatArray,
+    apart: FloatArray,
+    left: FloatArray,
+    memory: FloatArray,
+    pairs: Single,
+    whole: Single,
+    consensus: FloatArray,
+    voting: NDArray[np.bool_],
+) -> None:
+    """Write what :func:`look_past` does, but for the logarithms."""
+    batch, experts = voting.shape
+    increment, stated, std = np.empty((batch, experts)), np.empty((batch, experts)), np.empty((batch, experts))
+    counts, step = np.empty((4, batch, told[5].shape[1]), np.float32), np.empty((batch, 2))
+    seen = increment, stated, std, voting, counts, step
+    _read(told, std_rad, factor, seen)
+    for b in range(batch):
+        for e in range(experts):
+            increment[b, e], std[b, e] = apart[b, e] / UNIT_RAD, left[b, e] / UNIT_RAD
     _tokenise(seen, memory, pairs, whole, consensus)
 
 

@@ -25,6 +25,7 @@ ROWS = (
     "BIAS FILTER",
     "TANDEM",
     "TOKEN",
+    "TRIO",
     "LINEAR GATE",
     "MIXO",
     "PPO",
