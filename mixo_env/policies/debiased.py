@@ -15,7 +15,7 @@ from mixo_env.policies.calibration import FloatArray
 from mixo_env.policies.deepset import weigh
 from mixo_env.policies.policy import Observation, Weights
 from mixo_env.policies.token_gate import Token
-from mixo_env.policies.tokens import Seen, look_past, past, read
+from mixo_env.policies.tokens import Seen, past, read, tokenise
 from mixo_env.recordings.collection import Recordings
 
 
@@ -51,20 +51,14 @@ class Debiased(Token):
     def see(self, observation: Observation) -> Seen:
         """What becomes tokens, once the filter has gone a step."""
         self.filter.act(observation)
-        return past(read(observation, self._calibration), (self.filter.apart, self.filter.left))
+        return past(read(observation, self.calibration), (self.filter.apart, self.filter.left))
 
     def act(self, observation: Observation) -> Weights:
         """Rows ``(batch, experts)`` that sum to one."""
-        return self.decide(observation)[0]
-
-    def decide(self, observation: Observation) -> tuple[Weights, Weights]:
-        """Weights of the gate, and those of the filter by itself."""
-        alone = self.filter.act(observation)
-        biases = self.filter.apart, self.filter.left
-        tokens = look_past(observation, self._calibration, biases, self._memory, self._room)
-        weights = weigh(self._network, tokens, self._room.voting)
-        _mix(observation["yaw_rates"], observation["dt"], biases[0], self._room.voting, weights)
-        return weights, alone
+        seen = self.see(observation)
+        weights = weigh(self.network, tokenise(seen, self._memory), seen.voting)
+        mix(observation, self.filter.apart, seen.voting, weights)
+        return weights
 
     def tensors(self) -> dict[str, NDArray[Any]]:
         """Those of the filter beside TOKEN's."""
@@ -85,6 +79,11 @@ class Debiased(Token):
         self.filter.restore({name.removeprefix("filter."): tensors[name] for name in tensors.keys() - own.keys()})
 
 
+def mix(observation: Observation, apart: FloatArray, voting: NDArray[np.bool_], weights: Weights) -> None:
+    """Replace ``weights`` of corrected increments ``apart`` by such of the votes that come nearest to the same sum."""
+    _mix(observation["yaw_rates"], observation["dt"], apart, voting, weights)
+
+
 @compiled_unchecked
 def _mix(
     rates: NDArray[np.float32],
@@ -93,7 +92,7 @@ def _mix(
     voting: NDArray[np.bool_],
     weights: FloatArray,
 ) -> None:
-    """Replace ``weights`` of corrected increments ``apart`` by such of the votes that come nearest to the same sum."""
+    """Write what :func:`mix` does."""
     batch, n = weights.shape
     votes, std = np.empty(n), np.empty(n)
     for b in range(batch):

@@ -65,7 +65,7 @@ class Token(Policy):
     def start(self, voters: Sequence[str]) -> None:
         """Take the voters; after a fit, others than those it was fitted with are strangers."""
         super().start(voters)
-        self._calibration = Calibration(*np.array([self._known.get(name, _STRANGER) for name in self.experts]).T.copy())
+        self.calibration = Calibration(*np.array([self._known.get(name, _STRANGER) for name in self.experts]).T.copy())
 
     def fit(self, training: Recordings, track: str, *, seed: int = 0) -> None:
         """Train on scenes as they are and spoilt; same seed, same machine: same bits."""
@@ -107,12 +107,12 @@ class Token(Policy):
 
     def see(self, observation: Observation) -> Seen:
         """What becomes tokens."""
-        return read(observation, self._calibration)
+        return read(observation, self.calibration)
 
     def act(self, observation: Observation) -> Weights:
         """Rows ``(batch, experts)`` that sum to one; who does not vote has none."""
-        tokens = look(observation, self._calibration, self._memory, self._room)
-        return weigh(self._network, tokens, self._room.voting)
+        tokens = look(observation, self.calibration, self._memory, self._room)
+        return weigh(self.network, tokens, self._room.voting)
 
     def settings(self) -> dict[str, Any]:
         """Width and training."""
@@ -123,7 +123,7 @@ class Token(Policy):
         """Calibration and network."""
         weights = {f"weight.{i}": weight for i, (weight, _) in enumerate(self._layers)}
         biases = {f"bias.{i}": bias for i, (_, bias) in enumerate(self._layers)}
-        return {**self._calibration.tensors(), **weights, **biases}
+        return {**self.calibration.tensors(), **weights, **biases}
 
     def shapes(self, inputs: int) -> dict[str, tuple[int, ...]]:
         """Calibration and the four dense layers."""
@@ -143,7 +143,7 @@ class Token(Policy):
         self._adopt(tuple((values[f"weight.{i}"], values[f"bias.{i}"]) for i in range(4)))
 
     def _adopt(self, layers: Layers) -> None:
-        self._layers, self._network = layers, packed(layers)
+        self._layers, self.network = layers, packed(layers)
 
     def _know(self, experts: Sequence[str], calibration: Calibration) -> None:
         numbers = np.stack(list(calibration.tensors().values()), axis=1)

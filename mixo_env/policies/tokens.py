@@ -43,14 +43,14 @@ _SHORT, _LONG = 0.1, 0.02
 _LEAST_DT_S = 1e-3
 
 
-def blank_memory(batch: int, experts: int) -> FloatArray:
+def blank_memory(batch: int, experts: int, views: int = 1) -> FloatArray:
     """What is remembered of every expert's distance from the consensus, of scenes that have not begun.
 
     Returns:
-        ``(blocks, 3, experts, scenes)`` in UNIT_RAD: in the last step; running mean of its size; and with its sign.
+        ``(views blocks, 3, experts, scenes)`` in UNIT_RAD: in the last step; running mean of its size; and signed.
     """
     blocks, scenes = shape_of(batch)
-    memory = np.zeros((blocks, 3, experts, scenes))
+    memory = np.zeros((views * blocks, 3, experts, scenes))
     memory[:, 1] = 1.0
     return memory
 
@@ -91,15 +91,22 @@ class Room(NamedTuple):
     voting: NDArray[np.bool_]
 
     @classmethod
-    def blank(cls, batch: int, experts: int) -> Room:
-        """For steps of so many scenes."""
+    def blank(cls, batch: int, experts: int, views: int = 1) -> Room:
+        """For steps of so many scenes, seen in so many ways; the blocks of one follow those of another."""
         blocks, scenes = shape_of(batch)
+        blocks *= views
         return cls(
             np.empty((2, blocks, SIGNALS, experts, scenes), np.float32),
             np.empty((blocks, WHOLE, scenes), np.float32),
             np.empty((blocks, experts, scenes)),
             np.empty((batch, experts), np.bool_),
         )
+
+    def views(self, count: int) -> list[Tokens]:
+        """Where the tokens of each of ``count`` views stand after every step."""
+        parts = zip(*(np.split(part, count) for part in (self.pairs[1], self.whole)), strict=True)
+        consensus = np.split(self.consensus, count)
+        return [Tokens(signals, whole, of) for (signals, whole), of in zip(parts, consensus, strict=True)]
 
 
 Parts = tuple[FloatArray, FloatArray, FloatArray, NDArray[np.bool_], Single, FloatArray]
@@ -137,7 +144,7 @@ def read(observation: Observation, calibration: Calibration) -> Seen:
 def tokenise(seen: Seen, memory: FloatArray) -> Tokens:
     """Tokens of one step; ``memory``, as :func:`blank_memory` has it, goes on by it."""
     room = Room.blank(*seen.increment.shape)
-    _tokenise(seen[:], memory, room.pairs, room.whole, room.consensus)
+    _tokenise(seen[:], memory, (room.pairs[0], room.pairs[1]), room.whole, room.consensus)
     return _finished(room)
 
 
@@ -147,29 +154,30 @@ def look(observation: Observation, calibration: Calibration, memory: FloatArray,
     return _finished(room)
 
 
-def look_past(
+def look_twice(
     observation: Observation,
     calibration: Calibration,
     biases: tuple[FloatArray, FloatArray],
     memory: FloatArray,
     room: Room,
-) -> Tokens:
-    """:func:`look` where a filter has taken biases off.
+) -> None:
+    """Write tokens of the votes as they are, as :func:`look`, and of what is left of them without their biases.
 
     Args:
         observation: of the step.
-        calibration: of the voters; in its place the filter tells how sure it is of each.
-        biases: ``(batch, experts)`` increments less their biases, and standard deviations of what is left [rad].
-        memory: goes on by the step.
-        room: written.
+        calibration: of the voters.
+        biases: ``(batch, experts)`` increments less their biases, and standard deviations of what is left [rad], which
+            stand in the place of calibrated ones.
+        memory: of both, ``(2 blocks, ...)``; goes on by the step.
+        room: of both, from whose :meth:`Room.views` they are read; who votes is written in it.
     """
     apart, left = biases
-    _look_past(_told(observation), calibration.std_rad, calibration.factor, apart, left, memory, *room)
-    return _finished(room)
+    _look_twice(_told(observation), calibration.std_rad, calibration.factor, apart, left, memory, *room)
+    _finished(room)
 
 
 def past(seen: Seen, biases: tuple[FloatArray, FloatArray]) -> Seen:
-    """What :func:`look_past` makes tokens of."""
+    """A step as a filter leaves it, ``biases`` as in :func:`look_twice`."""
     apart, left = biases
     return seen._replace(increment=apart / UNIT_RAD, std=left / UNIT_RAD)
 
@@ -210,11 +218,11 @@ def _look(
     counts, step = np.empty((4, batch, told[5].shape[1]), np.float32), np.empty((batch, 2))
     seen = increment, stated, std, voting, counts, step
     _read(told, std_rad, factor, seen)
-    _tokenise(seen, memory, pairs, whole, consensus)
+    _tokenise(seen, memory, (pairs[0], pairs[1]), whole, consensus)
 
 
 @compiled_unchecked
-def _look_past(
+def _look_twice(
     told: Told,
     std_rad: FloatArray,
     factor: FloatArray,
@@ -226,16 +234,18 @@ def _look_past(
     consensus: FloatArray,
     voting: NDArray[np.bool_],
 ) -> None:
-    """Write what :func:`look_past` does, but for the logarithms."""
+    """Write what :func:`look_twice` does, but for the logarithms."""
     batch, experts = voting.shape
     increment, stated, std = np.empty((batch, experts)), np.empty((batch, experts)), np.empty((batch, experts))
     counts, step = np.empty((4, batch, told[5].shape[1]), np.float32), np.empty((batch, 2))
     seen = increment, stated, std, voting, counts, step
+    half = len(memory) // 2
     _read(told, std_rad, factor, seen)
+    _tokenise(seen, memory[:half], (pairs[0, :half], pairs[1, :half]), whole[:half], consensus[:half])
     for b in range(batch):
         for e in range(experts):
             increment[b, e], std[b, e] = apart[b, e] / UNIT_RAD, left[b, e] / UNIT_RAD
-    _tokenise(seen, memory, pairs, whole, consensus)
+    _tokenise(seen, memory[half:], (pairs[0, half:], pairs[1, half:]), whole[half:], consensus[half:])
 
 
 @compiled_unchecked
@@ -258,7 +268,9 @@ def _read(told: Told, std_rad: FloatArray, factor: FloatArray, seen: Parts) -> N
 
 
 @compiled_unchecked
-def _tokenise(seen: Parts, memory: FloatArray, pairs: Single, whole: Single, consensus: FloatArray) -> None:
+def _tokenise(
+    seen: Parts, memory: FloatArray, pairs: tuple[Single, Single], whole: Single, consensus: FloatArray
+) -> None:
     """Write tokens, see :class:`Room`."""
     increment, stated, std, voting, counts, step = seen
     batch = len(increment)
@@ -266,7 +278,8 @@ def _tokenise(seen: Parts, memory: FloatArray, pairs: Single, whole: Single, con
     numbers, steps, room = np.empty((5, experts, scenes)), np.empty((5, scenes)), np.empty((1 + ROOM, scenes))
     values, spread, scale, off, said = numbers[0], numbers[1], numbers[2], numbers[3], numbers[4]
     centre = room[0]
-    flat = pairs.reshape(2, blocks, SIGNALS, experts * scenes)
+    inside, factor = pairs
+    flat = inside.reshape(blocks, SIGNALS, experts * scenes), factor.reshape(blocks, SIGNALS, experts * scenes)
     for k in range(blocks):
         last, size, lean = memory[k, 0], memory[k, 1], memory[k, 2]
         for s in range(scenes):
@@ -276,14 +289,14 @@ def _tokenise(seen: Parts, memory: FloatArray, pairs: Single, whole: Single, con
                 scale[e, s] = std[b, e] if std[b, e] < math.inf else size[e, s]
                 spread[e, s] = scale[e, s] if voting[b, e] else math.inf
             steps[0, s], steps[1, s] = step[b]
-            _count(counts[:, b], pairs[0, k], pairs[1, k], s)
+            _count(counts[:, b], inside[k], factor[k], s)
         likeliest(values, spread, FREEDOM, consensus[k], centre, room[1:])
         _sum_up(values, spread, centre, off, steps[2:])
         _signals(
             (off.ravel(), scale.ravel(), said.ravel()),
             (last.ravel(), size.ravel(), lean.ravel()),
-            flat[0, k],
-            flat[1, k],
+            flat[0][k],
+            flat[1][k],
         )
         _remember(off, spread, last, size, lean)
         for s in range(scenes):

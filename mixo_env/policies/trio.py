@@ -8,9 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mixo_env.policies.debiased import Debiased
+from mixo_env.policies.debiased import Debiased, mix
+from mixo_env.policies.deepset import weigh
 from mixo_env.policies.policy import Observation, Policy, Weights
 from mixo_env.policies.token_gate import Token
+from mixo_env.policies.tokens import Room, blank_memory, look_twice
 from mixo_env.recordings.collection import Recordings
 
 SHARE = 0.4
@@ -30,10 +32,9 @@ class Trio(Policy):
     def __init__(self, *, epochs: int = 20) -> None:
         """Set the training of the gates; all else is TOKEN's own."""
         self.epochs = epochs
-        self._gates: dict[str, Token] = {
-            "token": Token(epochs=epochs, backwards=True),
-            "debiased": Debiased(epochs=epochs, backwards=True),
-        }
+        self._token = Token(epochs=epochs, backwards=True)
+        self._debiased = Debiased(epochs=epochs, backwards=True)
+        self._gates: dict[str, Token] = {"token": self._token, "debiased": self._debiased}
 
     def start(self, voters: tuple[str, ...]) -> None:  # type: ignore[override]
         """Take the voters."""
@@ -50,15 +51,20 @@ class Trio(Policy):
 
     def reset(self, batch: int) -> None:
         """All forget the past."""
-        for gate in self._gates.values():
-            gate.reset(batch)
+        self._debiased.filter.reset(batch)
+        size = batch, len(self.experts), len(self._gates)
+        self._memory, self._room = blank_memory(*size), Room.blank(*size)
+        self._votes, self._left = self._room.views(len(self._gates))
 
     def act(self, observation: Observation) -> Weights:
         """Rows ``(batch, experts)`` that sum to one."""
-        debiased = self._gates["debiased"]
-        assert isinstance(debiased, Debiased)
-        gate, alone = debiased.decide(observation)
-        return SHARE * (self._gates["token"].act(observation) + gate) + (1.0 - 2.0 * SHARE) * alone
+        token, debiased, voting = self._token, self._debiased, self._room.voting
+        alone = debiased.filter.act(observation)
+        biases = debiased.filter.apart, debiased.filter.left
+        look_twice(observation, token.calibration, biases, self._memory, self._room)
+        without = weigh(debiased.network, self._left, voting)
+        mix(observation, biases[0], voting, without)
+        return SHARE * (weigh(token.network, self._votes, voting) + without) + (1.0 - 2.0 * SHARE) * alone
 
     def settings(self) -> dict[str, Any]:
         """Training of the gates."""
