@@ -33,7 +33,7 @@ from mixo_env.tables import Cell, Column, Table
 REWARDS = ("squared", "abs", "pose")
 """``improvement`` is ``squared`` plus what no row can change."""
 ERRORS = ("yaw RMSE", "RTE", "ATE")
-SLOW = ("TOKEN", "TANDEM", "PPO", "A2C", "SAC", "TD3", "DQN")
+SLOW = ("TOKEN", "TANDEM", "TRIO", "PPO", "A2C", "SAC", "TD3", "DQN")
 
 
 @dataclass(frozen=True)

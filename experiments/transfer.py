@@ -69,7 +69,7 @@ class Transfer:
     track: str = "VISION"
     """Who votes besides the cameras."""
     rows: tuple[str, ...] = (
-        *("CAM_FRONT", "MEDIAN", "LINEAR", "HUBER", "STUDENT-T", "BIAS FILTER", "MIXO", "TOKEN", "TANDEM"),
+        *("CAM_FRONT", "MEDIAN", "LINEAR", "HUBER", "STUDENT-T", "BIAS FILTER", "MIXO", "TOKEN", "TANDEM", "TRIO"),
     )
     """What is fitted and played."""
     weights: Path | None = None

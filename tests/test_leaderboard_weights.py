@@ -156,7 +156,7 @@ def test_a_fold_without_scenes_cannot_be_held_out(recordings: Recordings) -> Non
         CrossValidation(recordings).fitted("LINEAR", "VISION", 7, 0)
 
 
-@pytest.mark.parametrize("name", ["LINEAR", "HUBER", "STUDENT-T", "BIAS FILTER", "MIXO", "TOKEN", "TANDEM"])
+@pytest.mark.parametrize("name", ["LINEAR", "HUBER", "STUDENT-T", "BIAS FILTER", "MIXO", "TOKEN", "TANDEM", "TRIO"])
 def test_an_expert_that_never_tells_anything_is_done_without(recordings: Recordings, tmp_path: Path, name: str) -> None:
     silent = recordings.voters("VISION")[0]
     nothing = {
