@@ -22,6 +22,7 @@ from mixo_env.policies.robust import believable
 from mixo_env.policies.token_gate import Token
 from mixo_env.policies.tokens import FREEDOM, SIGNALS, UNIT_RAD, WHOLE, Tokens, blank_memory, read, tokenise
 from mixo_env.recordings.collection import Recordings
+from tests.batches import assert_same_alone_and_among_many
 from tests.synthetic import synthetic_recordings
 
 TRACK = "VISION"
@@ -269,15 +270,7 @@ def test_a_saved_gate_gives_the_same_weights(drives: Recordings, fitted: Token, 
 
 
 def test_a_scene_has_the_same_bits_alone_and_among_many(drives: Recordings, fitted: Token) -> None:
-    """Vectors of numbers end somewhere: where a scene stands in them must not matter."""
-    look = {name: values[:37] for name, values in collect(drives, TRACK, fitted).items()}
-    fitted.reset(37)
-    together = [fitted.act(look) for _ in range(2)]
-    for k in range(37):
-        fitted.reset(1)
-        for weights in together:
-            alone = fitted.act({name: values[k : k + 1] for name, values in look.items()})
-            np.testing.assert_array_equal(alone[0], weights[k])
+    assert_same_alone_and_among_many(fitted, drives, TRACK)
 
 
 def test_it_plays_with_strangers(drives: Recordings, fitted: Token, tmp_path) -> None:

@@ -10,13 +10,14 @@ from mixo_env.policies import registry
 from mixo_env.policies.bias_filter import BiasFilter
 from mixo_env.policies.debiased import Debiased
 from mixo_env.policies.fitting import prepare
-from mixo_env.policies.playing import collect, play
+from mixo_env.policies.playing import play
 from mixo_env.policies.policy import Observation
 from mixo_env.policies.robust import Mean, believable
 from mixo_env.policies.token_gate import Token
 from mixo_env.policies.tokens import UNIT_RAD
 from mixo_env.policies.trio import SHARE, Trio
 from mixo_env.recordings.collection import Recordings
+from tests.batches import assert_same_alone_and_among_many
 from tests.bundle import few_drives
 
 
@@ -129,14 +130,7 @@ def test_a_saved_one_decides_the_same(fitted: Trio, drives: Recordings, tmp_path
 
 
 def test_a_scene_has_the_same_bits_alone_and_among_many(fitted: Trio, drives: Recordings) -> None:
-    look = {name: values[:37] for name, values in collect(drives, "VISION", fitted).items()}
-    fitted.reset(37)
-    together = [fitted.act(look) for _ in range(2)]
-    for k in range(37):
-        fitted.reset(1)
-        for weights in together:
-            alone = fitted.act({name: values[k : k + 1] for name, values in look.items()})
-            np.testing.assert_array_equal(alone[0], weights[k])
+    assert_same_alone_and_among_many(fitted, drives, "VISION")
 
 
 @pytest.mark.parametrize("missing", [0, 1, 2])
