@@ -48,8 +48,8 @@ class FusionDrives:
     """Folder of the recordings; default: the bundled ones."""
     track: str = "VISION"
     """Whose experts vote."""
-    row: str = "TANDEM"
-    """The fused row: the best one of README's table that reads no truth."""
+    row: str = "TRIO"
+    """The fused row: of those that weigh votes and read no truth, the best of README's table."""
     others: tuple[str, ...] = ("HUBER", "MIXO")
     """Further rows to draw."""
 
@@ -109,7 +109,8 @@ def draw(board: Leaderboard, name: str, scenes: Sequence[int], path: Path) -> No
         for panel in (above, middle, below):
             panel.grid(alpha=0.3)
     axes[1, 0].legend(fontsize=8)
-    axes[2, 0].legend(fontsize=7, loc="upper right", ncols=2)
+    above_lines: Any = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0)}
+    axes[2, 0].legend(fontsize=6.5, ncols=3, columnspacing=1.0, handlelength=1.8, frameon=False, **above_lines)
     about = f"Track {standings.track}, data {data_label(board.recordings.manifest)}"
     figure.suptitle(f"{about}: the scenes of {name}'s largest gain and largest loss on {ALONE}, of all", fontsize=9)
     with atomic_path(path) as part:
