@@ -72,17 +72,48 @@ def weigh(network: Single, told: tuple[Single, Single, FloatArray], voting: NDAr
 
 
 @inlined
-def _dense(x: Single, weight: Single, out: Single) -> None:
-    """Add ``W' x`` to ``out``, tokens side by side: ``x`` is ``(inputs, tokens)``, ``out`` ``(outputs, tokens)``."""
+def _dense(x: Single, weight: Single, out: Single, row: Single) -> None:
+    """Add ``W' x`` to ``out``, tokens side by side: ``x`` is ``(inputs, tokens)``, ``out`` ``(outputs, tokens)``.
+
+    Whichever there are more of, tokens or outputs, is summed side by side, in the same order; ``row`` ``(outputs,)`` is
+    written on the way.
+    """
+    if out.shape[1] < len(out):
+        for t in range(out.shape[1]):
+            for j in range(len(row)):
+                row[j] = out[j, t]
+            _dense_column(x, t, weight, row)
+            for j in range(len(row)):
+                out[j, t] = row[j]
+    else:
+        for j in range(len(out)):
+            _dense_row(x, weight, j, out[j])
+
+
+@inlined
+def _dense_row(x: Single, weight: Single, j: int, out: Single) -> None:
+    """Add output ``j`` of all tokens."""
     whole = len(x) // 4 * 4
-    for j in range(len(out)):
-        for i in range(0, whole, 4):  # four at once: each number of ``out`` is loaded and stored a quarter as often
-            for t in range(out.shape[1]):
-                first = x[i, t] * weight[i, j] + x[i + 1, t] * weight[i + 1, j]
-                out[j, t] += first + (x[i + 2, t] * weight[i + 2, j] + x[i + 3, t] * weight[i + 3, j])
-        for i in range(whole, len(x)):
-            for t in range(out.shape[1]):
-                out[j, t] += x[i, t] * weight[i, j]
+    for i in range(0, whole, 4):  # four at once: each number of ``out`` is loaded and stored a quarter as often
+        for t in range(len(out)):
+            first = x[i, t] * weight[i, j] + x[i + 1, t] * weight[i + 1, j]
+            out[t] += first + (x[i + 2, t] * weight[i + 2, j] + x[i + 3, t] * weight[i + 3, j])
+    for i in range(whole, len(x)):
+        for t in range(len(out)):
+            out[t] += x[i, t] * weight[i, j]
+
+
+@inlined
+def _dense_column(x: Single, t: int, weight: Single, out: Single) -> None:
+    """Add all outputs of token ``t``."""
+    whole = len(x) // 4 * 4
+    for i in range(0, whole, 4):
+        for j in range(len(out)):
+            first = x[i, t] * weight[i, j] + x[i + 1, t] * weight[i + 1, j]
+            out[j] += first + (x[i + 2, t] * weight[i + 2, j] + x[i + 3, t] * weight[i + 3, j])
+    for i in range(whole, len(x)):
+        for j in range(len(out)):
+            out[j] += x[i, t] * weight[i, j]
 
 
 @inlined
@@ -142,6 +173,7 @@ def _weigh(
     third = second + width + 1
     last = third + 2 * width + 1
     wide, narrow = np.empty((2, width, experts, scenes), np.float32), np.empty((2, width, scenes), np.float32)
+    row = np.empty(width, np.float32)
     votes, number = np.empty((experts + 1, scenes), np.float32), np.empty((1, tokens), np.float32)
     one, two, base, pooled, count = wide[0], wide[1], narrow[0], narrow[1], votes[experts]
     flat_one, flat_two = one.reshape(width, tokens), two.reshape(width, tokens)
@@ -154,12 +186,12 @@ def _weigh(
                 votes[e, s] = 1.0 if voting[min(first + s, batch - 1), e] else 0.0
                 count[s] += votes[e, s]
         _fill(network[second - 1], base)
-        _dense(whole[k], network[length : second - 1], base)
+        _dense(whole[k], network[length : second - 1], base, row)
         _share(base, one)
-        _dense(flat_x[k], network[:length], flat_one)
+        _dense(flat_x[k], network[:length], flat_one, row)
         _rectify(flat_one)
         _fill(network[third - 1], flat_two)
-        _dense(flat_one, network[second : third - 1], flat_two)
+        _dense(flat_one, network[second : third - 1], flat_two, row)
         _rectify(flat_two)
         for j in range(width):
             for e in range(experts):
@@ -168,12 +200,12 @@ def _weigh(
             for s in range(scenes):
                 pooled[j, s] /= count[s]
         _fill(network[last - 1], base)
-        _dense(pooled, network[third + width : last - 1], base)
+        _dense(pooled, network[third + width : last - 1], base, row)
         _share(base, one)
-        _dense(flat_two, network[third : third + width], flat_one)
+        _dense(flat_two, network[third : third + width], flat_one, row)
         _rectify(flat_one)
         _fill(network[last + 1], number)
-        _dense(flat_one, network[last].reshape(width, 1), number)
+        _dense(flat_one, network[last].reshape(width, 1), number, row)
         for t in range(tokens):
             number[0, t] /= np.float32(1.0) + abs(number[0, t]) / np.float32(MOST)
         _vote(number[0].reshape(experts, scenes), consensus[k], voting, first, weights)

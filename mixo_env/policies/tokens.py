@@ -132,13 +132,8 @@ class Tokens(NamedTuple):
 
 def read(observation: Observation, calibration: Calibration) -> Seen:
     """Pick what becomes tokens."""
-    told = _told(observation)
-    batch, experts = told[0].shape
-    increment, stated, std = (np.empty((batch, experts)) for _ in range(3))
-    counts = np.empty((4, *observation["matches"].shape), np.float32)
-    seen = Seen(increment, stated, std, np.empty((batch, experts), np.bool_), counts, np.empty((batch, 2)))
-    _read(told, calibration.std_rad, calibration.factor, seen[:])
-    return seen
+    voting = np.empty(observation["yaw_rates"].shape, np.bool_)
+    return Seen(*_read(_told(observation), calibration.std_rad, calibration.factor, voting))
 
 
 def tokenise(seen: Seen, memory: FloatArray) -> Tokens:
@@ -213,11 +208,7 @@ def _look(
     voting: NDArray[np.bool_],
 ) -> None:
     """Write what :func:`look` does, but for the logarithms."""
-    batch, experts = voting.shape
-    increment, stated, std = np.empty((batch, experts)), np.empty((batch, experts)), np.empty((batch, experts))
-    counts, step = np.empty((4, batch, told[5].shape[1]), np.float32), np.empty((batch, 2))
-    seen = increment, stated, std, voting, counts, step
-    _read(told, std_rad, factor, seen)
+    seen = _read(told, std_rad, factor, voting)
     _tokenise(seen, memory, (pairs[0], pairs[1]), whole, consensus)
 
 
@@ -235,29 +226,27 @@ def _look_twice(
     voting: NDArray[np.bool_],
 ) -> None:
     """Write what :func:`look_twice` does, but for the logarithms."""
-    batch, experts = voting.shape
-    increment, stated, std = np.empty((batch, experts)), np.empty((batch, experts)), np.empty((batch, experts))
-    counts, step = np.empty((4, batch, told[5].shape[1]), np.float32), np.empty((batch, 2))
-    seen = increment, stated, std, voting, counts, step
-    half = len(memory) // 2
-    _read(told, std_rad, factor, seen)
+    seen = _read(told, std_rad, factor, voting)
+    increment, std, half = seen[0], seen[2], len(memory) // 2
     _tokenise(seen, memory[:half], (pairs[0, :half], pairs[1, :half]), whole[:half], consensus[:half])
-    for b in range(batch):
-        for e in range(experts):
+    for b in range(len(voting)):
+        for e in range(voting.shape[1]):
             increment[b, e], std[b, e] = apart[b, e] / UNIT_RAD, left[b, e] / UNIT_RAD
     _tokenise(seen, memory[half:], (pairs[0, half:], pairs[1, half:]), whole[half:], consensus[half:])
 
 
 @compiled_unchecked
-def _read(told: Told, std_rad: FloatArray, factor: FloatArray, seen: Parts) -> None:
-    """Write the parts of :class:`Seen`."""
+def _read(told: Told, std_rad: FloatArray, factor: FloatArray, voting: NDArray[np.bool_]) -> Parts:
+    """The parts of :class:`Seen`; who votes is written to where it is wanted."""
     rates, available, said, speed, dt, matches, inliers, residual, flow = told
-    increment, stated, std, voting, counts, step = seen
-    for b in range(len(rates)):
+    batch, experts = voting.shape
+    increment, stated, std = np.empty((batch, experts)), np.empty((batch, experts)), np.empty((batch, experts))
+    counts, step = np.empty((4, batch, matches.shape[1]), np.float32), np.empty((batch, 2))
+    for b in range(batch):
         believe_row(rates[b], available[b], voting[b])
         scale_row(said[b], dt[b, 0], std_rad, factor, std[b])
         unit = np.float64(dt[b, 0]) / UNIT_RAD
-        for e in range(rates.shape[1]):
+        for e in range(experts):
             increment[b, e] = rates[b, e] * unit
             stated[b, e] = said[b, e] * unit
             std[b, e] /= UNIT_RAD
@@ -265,6 +254,7 @@ def _read(told: Told, std_rad: FloatArray, factor: FloatArray, seen: Parts) -> N
             counts[0, b, c], counts[1, b, c] = matches[b, c], inliers[b, c]
             counts[2, b, c], counts[3, b, c] = residual[b, c], flow[b, c]
         step[b, 0], step[b, 1] = speed[b, 0], dt[b, 0]
+    return increment, stated, std, voting, counts, step
 
 
 @compiled_unchecked

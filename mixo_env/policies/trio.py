@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from mixo_env.compiled import compiled_unchecked
 from mixo_env.policies.debiased import Debiased, mix
 from mixo_env.policies.deepset import weigh
 from mixo_env.policies.policy import Observation, Policy, Weights
@@ -64,7 +65,8 @@ class Trio(Policy):
         look_twice(observation, token.calibration, biases, self._memory, self._room)
         without = weigh(debiased.network, self._left, voting)
         mix(observation, biases[0], voting, without)
-        return SHARE * (weigh(token.network, self._votes, voting) + without) + (1.0 - 2.0 * SHARE) * alone
+        _average(weigh(token.network, self._votes, voting), without, alone)
+        return alone
 
     def settings(self) -> dict[str, Any]:
         """Training of the gates."""
@@ -87,3 +89,11 @@ class Trio(Policy):
             gate.experts = self.experts
             own = {name.removeprefix(f"{of}."): value for name, value in tensors.items() if name.startswith(f"{of}.")}
             gate.restore(own)
+
+
+@compiled_unchecked
+def _average(token: Weights, without: Weights, alone: Weights) -> None:
+    """Replace the filter's weights by the mean of all, each ``(batch, experts)``."""
+    for b in range(len(alone)):
+        for e in range(alone.shape[1]):
+            alone[b, e] = SHARE * (token[b, e] + without[b, e]) + (1.0 - 2.0 * SHARE) * alone[b, e]
