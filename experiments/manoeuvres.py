@@ -35,7 +35,7 @@ logger = logging.getLogger(__name__)
 
 FloatArray = NDArray[np.float64]
 
-GATES = ("LINEAR", "LINEAR GATE", "MIXO", "HUBER", "SOFTMIN", "TOKEN")
+GATES = ("LINEAR", "LINEAR GATE", "MIXO", "HUBER", "SOFTMIN", "TOKEN", "TANDEM", "TRIO")
 BEST = "MULTICAMERA GT"
 TOLD = "LINEAR BY MANOEUVRE †"
 

@@ -142,7 +142,8 @@ def test_page_table_and_figure(findings: list[Finding], tmp_path) -> None:
     draw_by_manoeuvre([finding.preference for finding in findings], tmp_path / "weights.png")
     assert (tmp_path / "weights.png").read_bytes().startswith(b"\x89PNG")
     one = findings[0]
-    text = page([*findings, *(replace(one, preference=replace(one.preference, row=r)) for r in ("MIXO", "TOKEN"))])
+    named = (replace(one, preference=replace(one.preference, row=name)) for name in ("MIXO", "TOKEN", "TRIO"))
+    text = page([*findings, *named])
     assert f"| {TOLD} | straight |" in text
 
 

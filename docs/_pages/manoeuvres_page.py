@@ -45,8 +45,9 @@ and has constant weights for each, fitted on the other folds.
   and the gyro lose. Constant weights fitted for each manoeuvre alone (LINEAR BY MANOEUVRE †) move much the same way.
   The truth (MULTICAMERA GT †) agrees about CAM_BACK; it has CAM_FRONT lose in turns of both kinds.
 * **It is worth little.** Told the manoeuvre by the truth, constant weights reach {told:.2f} 10⁻³ deg/m where LINEAR has
-  {linear:.2f}; MIXO, which also sees matches, {mixo:.2f}. TOKEN, which looks at disagreement, has {token:.2f}: who errs
-  *now* matters more than what the car does. In turns it leaves the gyro next to nothing.
+  {linear:.2f}; MIXO, which also sees matches, {mixo:.2f}. TOKEN, which looks at disagreement, has {token:.2f}, and
+  TRIO, which also looks at it without the biases that a filter predicts, {trio:.2f}: who errs *now* matters more than
+  what the car does. In turns TOKEN leaves the gyro next to nothing.
 * HUBER's means move by a hundredth and it is ahead of MIXO; LINEAR's do not move at all beyond what its four fits
   differ by. PPO, on its one fold, moves as MIXO does, and less.
 * While the car stands errors are six times smaller, and weights matter little.
@@ -60,9 +61,8 @@ def page(findings: Sequence[Finding]) -> str:
     """The whole page."""
     score = {finding.preference.row: 1e3 * finding.deg_per_m for finding in findings}
     told = next(value for row, value in score.items() if row.startswith("LINEAR BY"))
-    return TEXT.format(
-        table=weight_table(findings), told=told, linear=score["LINEAR"], mixo=score["MIXO"], token=score["TOKEN"]
-    )
+    of_rows = {name.lower(): score[name] for name in ("LINEAR", "MIXO", "TOKEN", "TRIO")}
+    return TEXT.format(table=weight_table(findings), told=told, **of_rows)
 
 
 def weight_table(findings: Sequence[Finding]) -> str:

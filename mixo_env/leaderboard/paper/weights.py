@@ -14,7 +14,7 @@ from mixo_env.leaderboard.manoeuvres import MANOEUVRES, Preference, played_weigh
 from mixo_env.leaderboard.paper.parts import NotHereError, Subject, marked, yaw_error_rad
 from mixo_env.tables import Cell, Column, Table
 
-GATES = ("LINEAR", "LINEAR GATE", "MIXO", "HUBER", "SOFTMIN", "TOKEN", "MULTICAMERA GT")
+GATES = ("LINEAR", "LINEAR GATE", "MIXO", "HUBER", "SOFTMIN", "TOKEN", "TANDEM", "TRIO", "MULTICAMERA GT")
 COLOURS = ("#0072B2", "#56B4E9", "#E69F00", "#CC79A7", "#999999", "#009E73", "#D55E00", "#222222")
 """Of experts; colour-blind eyes tell them apart (Okabe and Ito 2008)."""
 DASHES = ("-", (0, (5, 1.5)), (0, (1.5, 1)), (0, (5, 1.5, 1, 1.5)))
