@@ -26,6 +26,8 @@ from mixo_env.recordings.store import load_recordings
 from mixo_env.recordings.truths import with_truth
 from mixo_env.tables import Cell, Column, Table
 
+ROWS = ("LINEAR", "MIXO", "HUBER", "STUDENT-T", "SOFTMIN", "BIAS FILTER", "TOKEN", "TANDEM", "TRIO")
+
 
 @dataclass(frozen=True)
 class FewDrives:
@@ -35,7 +37,7 @@ class FewDrives:
     """Folder of recordings with folds. None: the bundled mixocity."""
     track: str = "VISION"
     """Who votes besides the cameras."""
-    rows: tuple[str, ...] = ("LINEAR", "MIXO", "HUBER", "STUDENT-T", "SOFTMIN", "BIAS FILTER", "TOKEN", "TANDEM")
+    rows: tuple[str, ...] = ROWS
     """Rows that learn."""
     logs: tuple[int, ...] = (4, 15, 30, 60)
     """Numbers of logs to fit on."""
