@@ -109,8 +109,15 @@ def draw(board: Leaderboard, name: str, scenes: Sequence[int], path: Path) -> No
         for panel in (above, middle, below):
             panel.grid(alpha=0.3)
     axes[1, 0].legend(fontsize=8)
-    above_lines: Any = {"loc": "lower left", "bbox_to_anchor": (0.0, 1.0)}
-    axes[2, 0].legend(fontsize=6.5, ncols=3, columnspacing=1.0, handlelength=1.8, frameon=False, **above_lines)
+    axes[2, 0].legend(
+        fontsize=6.5,
+        ncols=3,
+        columnspacing=1.0,
+        handlelength=1.8,
+        frameon=False,
+        loc="lower left",
+        bbox_to_anchor=(0.0, 1.0),  # above the panel: lines reach its top
+    )
     about = f"Track {standings.track}, data {data_label(board.recordings.manifest)}"
     figure.suptitle(f"{about}: the scenes of {name}'s largest gain and largest loss on {ALONE}, of all", fontsize=9)
     with atomic_path(path) as part:
