@@ -9,7 +9,7 @@ import pytest
 
 from mixo_env.policies.bias_filter import BiasFilter
 from mixo_env.policies.bias_steps import BEST_SCALE, invert, point_at, predict, step
-from mixo_env.policies.blocks import AT_ONCE
+from mixo_env.policies.blocks import AT_ONCE, in_rows
 from mixo_env.policies.calibration import Calibration, Past
 from mixo_env.policies.consensus import ROOM
 from mixo_env.policies.drift import Drift, summed_variance
@@ -125,7 +125,7 @@ def test_the_bias_of_a_gyro_is_found_from_the_cameras(broken: bool) -> None:
         rates[:, 1] += np.random.default_rng(5).choice([-2.0, 2.0], 400)
     policy = ready(BiasFilter, [2e-3, 2e-3, 2e-4], drift_of([0.0, 0.0, 0.05], [1.0, 1.0, 100.0]))
     fused = np.array([float((policy.act(seen(row[None])) * row).sum()) for row in rates])
-    assert policy._bias[0, 2] == pytest.approx(0.02, abs=4e-3)
+    assert policy._state[0][0, 2, 0] == pytest.approx(0.02, abs=4e-3)
     error, gyro = fused - truth, rates[:, 2] - truth
     assert abs(error[200:].mean()) < 0.2 * abs(gyro[200:].mean())
     assert error[200:].std() < (0.018 if broken else 0.014)
@@ -174,7 +174,7 @@ def test_a_scene_has_the_same_bits_alone_and_among_many_with_experts_missing(bat
         for look, weights in zip(looks, together, strict=True):
             one = {name: values[k : k + 1] for name, values in look.items()}
             np.testing.assert_array_equal(alone.act(one)[0], weights[k])
-        np.testing.assert_array_equal(alone._covariance[0], many._covariance[k])
+        np.testing.assert_array_equal(alone._state[1][0, ..., 0], in_rows(many._state[1], batch)[k])
 
 
 def test_variance_of_sums_is_the_double_sum() -> None:

@@ -8,6 +8,7 @@ import pytest
 from mixo_env.envs.replay import Replay
 from mixo_env.policies import registry
 from mixo_env.policies.bias_filter import BiasFilter
+from mixo_env.policies.blocks import in_rows
 from mixo_env.policies.debiased import Debiased
 from mixo_env.policies.fitting import prepare
 from mixo_env.policies.playing import play
@@ -74,7 +75,7 @@ def test_the_filter_predicts_before_it_hears(drives: Recordings) -> None:
     policy.reset(len(drives))
     drift = policy._drift
     for look in looks(policy, drives, 30):
-        before, dt = policy._bias.copy(), look["dt"].astype(np.float64)
+        before, dt = in_rows(policy._state[0], len(drives)).copy(), look["dt"].astype(np.float64)
         policy.act(look)
         predicted = drift.constant_radps + before * np.exp(-dt / drift.memory_s)
         votes = believable(look)

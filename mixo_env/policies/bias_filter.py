@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from mixo_env.policies.bias_steps import Told, step_batch
+from mixo_env.policies.bias_steps import Told, blank_state, step_batch
 from mixo_env.policies.calibration import Calibration, Past
 from mixo_env.policies.consensus import agreement
 from mixo_env.policies.drift import Drift
@@ -44,17 +44,15 @@ class BiasFilter(Policy):
 
     def reset(self, batch: int) -> None:
         """Every bias is 0, as uncertain as it was on the training scenes; nobody has disagreed yet."""
-        self._bias = np.zeros((batch, len(self.experts)))
-        self._noise, self.apart, self.left = (np.empty_like(self._bias) for _ in range(3))
-        self._covariance = np.tile(np.diag(self._drift.slow_radps**2), (batch, 1, 1))
+        self._state = blank_state(batch, self._constants)
+        self._noise, self.apart, self.left = (np.empty((batch, len(self.experts))) for _ in range(3))
         self._recent = Recent(batch, len(self.experts))
 
     def act(self, observation: Observation) -> Weights:
         """Rows ``(batch, experts)`` that sum to one."""
-        weights = np.empty(self._bias.shape)
-        state = self._bias, self._covariance
+        weights = np.empty(self._noise.shape)
         found = self._noise, weights, self.apart, self.left
-        if not step_batch(state, self._hear(observation), self._constants, found):
+        if not step_batch(self._state, self._hear(observation), self._constants, found):
             undecided = ~weights.any(axis=1)
             increments = observation["yaw_rates"].astype(np.float64) * observation["dt"]
             weights[undecided] = median_weights(increments[undecided], believable(observation)[undecided])

@@ -8,9 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from mixo_env.compiled import compiled_unchecked, inlined
-from mixo_env.policies.blocks import AT_ONCE
+from mixo_env.policies.blocks import AT_ONCE, shape_of
 from mixo_env.policies.calibration import FloatArray
 from mixo_env.policies.consensus import ROOM, SAFE, Single, likeliest
+
+State = tuple[FloatArray, FloatArray]
+"""Of all scenes, in blocks: biases ``(blocks, n, scenes)`` [rad/s] and their covariances ``(blocks, n, n, scenes)``."""
 
 Room = tuple[FloatArray, FloatArray, FloatArray]
 """What :func:`step` writes on the way, ``(3, n, n, scenes)``, ``(4, n, scenes)`` and ``(1 + ROOM, scenes)``."""
@@ -21,6 +24,13 @@ Told = tuple[Single, Single, FloatArray, FloatArray, NDArray[np.bool_]]
 
 BEST_SCALE = 0.7071
 """Agreement with the others, whose consensus an expert is part of, proves no more than half the calibrated variance."""
+
+
+def blank_state(batch: int, drift: FloatArray) -> State:
+    """Every bias is 0, as uncertain as it was on the training scenes; ``drift`` as in :func:`step`."""
+    blocks, scenes = shape_of(batch)
+    bias = np.zeros((blocks, drift.shape[1], scenes))
+    return bias, np.tile(np.diag(drift[1] ** 2)[:, :, None], (blocks, 1, 1, scenes))
 
 
 @inlined
@@ -272,15 +282,12 @@ def point_at(target: float, values: FloatArray, std: FloatArray, weights: FloatA
 
 @compiled_unchecked
 def step_batch(
-    state: tuple[FloatArray, FloatArray],
-    told: Told,
-    drift: FloatArray,
-    found: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
+    state: State, told: Told, drift: FloatArray, found: tuple[FloatArray, FloatArray, FloatArray, FloatArray]
 ) -> bool:
     """:func:`step` of every scene; whether all have been decided.
 
     Args:
-        state: biases ``(batch, n)`` and covariances ``(batch, n, n)``, changed in place.
+        state: changed in place.
         told: see :data:`Told`.
         drift: as in :func:`step`.
         found: ``(batch, n)`` written: variances of the white errors as believed; weights, all zero where nobody
@@ -291,30 +298,23 @@ def step_batch(
     rates, dt, std, scale, known = told
     noise, weights, apart, left = found
     batch, n = rates.shape
-    everywhere, scenes = True, min(batch, AT_ONCE)
-    matrices, vectors = np.empty((4, n, n, scenes)), np.empty((8, n, scenes))
-    room = np.empty((3 + ROOM, scenes))
-    covariance, bias, values, spread, believed = matrices[3], vectors[0], vectors[1], vectors[2], vectors[3]
-    duration, psi = room[0], room[1]
-    for first in range(0, batch, AT_ONCE):
+    everywhere, scenes = True, biases.shape[2]
+    matrices, vectors, room = np.empty((3, n, n, scenes)), np.empty((7, n, scenes)), np.empty((3 + ROOM, scenes))
+    values, spread, believed, duration, psi = vectors[0], vectors[1], vectors[2], room[0], room[1]
+    for k in range(len(biases)):
+        first = k * AT_ONCE
         for s in range(scenes):
             b = min(first + s, batch - 1)
             duration[s] = dt[b, 0]
             for i in range(n):
-                bias[i, s] = biases[b, i]
                 values[i, s] = rates[b, i] * duration[s]
                 spread[i, s] = std[b, i] * max(scale[b, i], BEST_SCALE) if known[b, i] else math.inf
-                for j in range(n):
-                    covariance[i, j, s] = covariances[b, i, j]
-        inner = matrices[:3], vectors[4:], room[2:]
-        step((bias, covariance), (values, spread), drift, duration, (psi, believed), inner)
+        inner = matrices, vectors[3:], room[2:]
+        step((biases[k], covariances[k]), (values, spread), drift, duration, (psi, believed), inner)
         for s in range(scenes):
             b = min(first + s, batch - 1)
             everywhere &= not math.isnan(psi[s])
             for i in range(n):
-                biases[b, i], noise[b, i] = bias[i, s], believed[i, s]
-                apart[b, i], left[b, i] = vectors[4, i, s], vectors[5, i, s]
-                for j in range(n):
-                    covariances[b, i, j] = covariance[i, j, s]
+                noise[b, i], apart[b, i], left[b, i] = believed[i, s], vectors[3, i, s], vectors[4, i, s]
             point_at(psi[s], values[:, s], spread[:, s], weights[b])
     return everywhere

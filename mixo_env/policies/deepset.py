@@ -82,38 +82,45 @@ def _dense(x: Single, weight: Single, out: Single, row: Single) -> None:
         for t in range(out.shape[1]):
             for j in range(len(row)):
                 row[j] = out[j, t]
-            _dense_column(x, t, weight, row)
+            _add_products(weight, x, t, row)
             for j in range(len(row)):
                 out[j, t] = row[j]
     else:
-        for j in range(len(out)):
-            _dense_row(x, weight, j, out[j])
+        even = len(out) // 2 * 2
+        for j in range(0, even, 2):
+            _add_two_products(x, weight, j, out[j], out[j + 1])
+        for j in range(even, len(out)):
+            _add_products(x, weight, j, out[j])
 
 
 @inlined
-def _dense_row(x: Single, weight: Single, j: int, out: Single) -> None:
-    """Add output ``j`` of all tokens."""
+def _add_products(x: Single, weights: Single, j: int, out: Single) -> None:
+    """Add ``x' w`` to ``out`` ``(n,)``: ``x`` is ``(inputs, n)``, w column ``j`` of ``weights`` ``(inputs, ..)``."""
     whole = len(x) // 4 * 4
     for i in range(0, whole, 4):  # four at once: each number of ``out`` is loaded and stored a quarter as often
         for t in range(len(out)):
-            first = x[i, t] * weight[i, j] + x[i + 1, t] * weight[i + 1, j]
-            out[t] += first + (x[i + 2, t] * weight[i + 2, j] + x[i + 3, t] * weight[i + 3, j])
+            first = x[i, t] * weights[i, j] + x[i + 1, t] * weights[i + 1, j]
+            out[t] += first + (x[i + 2, t] * weights[i + 2, j] + x[i + 3, t] * weights[i + 3, j])
     for i in range(whole, len(x)):
         for t in range(len(out)):
-            out[t] += x[i, t] * weight[i, j]
+            out[t] += x[i, t] * weights[i, j]
 
 
 @inlined
-def _dense_column(x: Single, t: int, weight: Single, out: Single) -> None:
-    """Add all outputs of token ``t``."""
+def _add_two_products(x: Single, weights: Single, j: int, out: Single, other: Single) -> None:
+    """:func:`_add_products` of columns ``j`` and ``j + 1``: each number of ``x`` is loaded half as often."""
     whole = len(x) // 4 * 4
     for i in range(0, whole, 4):
-        for j in range(len(out)):
-            first = x[i, t] * weight[i, j] + x[i + 1, t] * weight[i + 1, j]
-            out[j] += first + (x[i + 2, t] * weight[i + 2, j] + x[i + 3, t] * weight[i + 3, j])
+        for t in range(len(out)):
+            a, b, c, d = x[i, t], x[i + 1, t], x[i + 2, t], x[i + 3, t]
+            first = a * weights[i, j] + b * weights[i + 1, j]
+            out[t] += first + (c * weights[i + 2, j] + d * weights[i + 3, j])
+            second = a * weights[i, j + 1] + b * weights[i + 1, j + 1]
+            other[t] += second + (c * weights[i + 2, j + 1] + d * weights[i + 3, j + 1])
     for i in range(whole, len(x)):
-        for j in range(len(out)):
-            out[j] += x[i, t] * weight[i, j]
+        for t in range(len(out)):
+            out[t] += x[i, t] * weights[i, j]
+            other[t] += x[i, t] * weights[i, j + 1]
 
 
 @inlined

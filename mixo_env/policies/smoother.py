@@ -12,7 +12,8 @@ from mixo_env.compiled import compiled, compiled_unchecked
 from mixo_env.errors import PolicyError
 from mixo_env.fusion import FloatArray
 from mixo_env.policies.bias_filter import BiasFilter
-from mixo_env.policies.bias_steps import invert, point_at, step_batch
+from mixo_env.policies.bias_steps import blank_state, invert, point_at, step_batch
+from mixo_env.policies.blocks import in_rows
 from mixo_env.policies.policy import Observation, Weights
 from mixo_env.policies.robust import believable, median_weights
 
@@ -117,7 +118,7 @@ class Smoother(BiasFilter):
         n, slots = len(self.experts), LAG + 1
         self._drifting = self._constants.copy()
         self._drifting[1] = np.maximum(self._drifting[1], SMALLEST_BIAS_RADPS)
-        self._covariance = np.tile(np.diag(self._drifting[1] ** 2), (batch, 1, 1))
+        self._state = blank_state(batch, self._drifting)
         noises, active = np.full((slots, batch, n), np.inf), np.zeros((slots, batch), np.bool_)
         self._ring: Ring = np.zeros((slots, batch, n)), noises, np.zeros((slots, batch, n, n)), noises.copy(), active
         self._shown = self._decided = 0
@@ -128,10 +129,11 @@ class Smoother(BiasFilter):
         biases, noises, gains, fades, lasting = self._ring
         lasting[slot] = active
         dt = observation["dt"][:, 0].astype(np.float64)
-        lead_back(self._covariance, self._drifting, dt, active, gains[slot], fades[slot])
-        found = noises[slot], np.empty(self._bias.shape), self.apart, self.left
-        step_batch((self._bias, self._covariance), self._hear(observation), self._drifting, found)
-        biases[slot] = self._bias
+        bias, covariance = self._state
+        lead_back(in_rows(covariance, len(dt)), self._drifting, dt, active, gains[slot], fades[slot])
+        found = noises[slot], np.empty(self._noise.shape), self.apart, self.left
+        step_batch(self._state, self._hear(observation), self._drifting, found)
+        biases[slot] = in_rows(bias, len(dt))
         self._shown += 1
 
     def act(self, observation: Observation) -> Weights:

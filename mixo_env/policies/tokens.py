@@ -279,7 +279,7 @@ def _tokenise(
                 scale[e, s] = std[b, e] if std[b, e] < math.inf else size[e, s]
                 spread[e, s] = scale[e, s] if voting[b, e] else math.inf
             steps[0, s], steps[1, s] = step[b]
-            _count(counts[:, b], inside[k], factor[k], s)
+        _count(counts, k * AT_ONCE, inside[k], factor[k])
         likeliest(values, spread, FREEDOM, consensus[k], centre, room[1:])
         _sum_up(values, spread, centre, off, steps[2:])
         _signals(
@@ -299,19 +299,22 @@ def _tokenise(
 
 
 @inlined
-def _count(counts: Single, inside: Single, factor: Single, s: int) -> None:
-    """Write the signals 8 to 12 of scene ``s``: of experts that count ``(4, counting)``, and of all others."""
-    counting = counts.shape[1]
+def _count(counts: Single, first: int, inside: Single, factor: Single) -> None:
+    """Write signals 8 to 12 of scenes from ``first`` on: of those that count ``(4, batch, counting)``, and others."""
+    _, batch, counting = counts.shape
     for e in range(inside.shape[1]):
         for k in range(8, 13):
-            inside[k, e, s], factor[k, e, s] = math.e, 0.0
+            for s in range(inside.shape[2]):
+                inside[k, e, s], factor[k, e, s] = math.e, 0.0
         if e < counting:
-            matches = counts[0, e]
-            inside[8, e, s], factor[8, e, s] = 1.0 + matches, 0.2
-            factor[9, e, s] = counts[1, e] / max(matches, 1.0)
-            factor[10, e, s] = counts[2, e]
-            inside[11, e, s], factor[11, e, s] = 1.0 + counts[3, e], 0.2
-            factor[12, e, s] = 1.0
+            for s in range(inside.shape[2]):
+                b = min(first + s, batch - 1)
+                matches = counts[0, b, e]
+                inside[8, e, s], factor[8, e, s] = 1.0 + matches, 0.2
+                factor[9, e, s] = counts[1, b, e] / max(matches, 1.0)
+                factor[10, e, s] = counts[2, b, e]
+                inside[11, e, s], factor[11, e, s] = 1.0 + counts[3, b, e], 0.2
+                factor[12, e, s] = 1.0
 
 
 @inlined
