@@ -20,6 +20,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
+from experiments.closing import absolute, closed, relative
 from experiments.places import Place, variants_of
 from experiments.real_experts import RealExperts, imported
 from experiments.studies import print_study
@@ -27,7 +31,7 @@ from mixo_env.errors import ConfigurationError, PolicyError
 from mixo_env.leaderboard.comparisons import Comparison
 from mixo_env.leaderboard.crossvalidation import CrossValidation, Run, Trial
 from mixo_env.leaderboard.evaluation import Truth
-from mixo_env.leaderboard.rows import Score, Scorer
+from mixo_env.leaderboard.rows import Row, Scorer
 from mixo_env.leaderboard.sentences import p_text, percent
 from mixo_env.leaderboard.weights import shipped
 from mixo_env.recordings.collection import Recordings
@@ -77,7 +81,7 @@ class Transfer:
     seed: int = 0
     """Of everything random."""
     intervals: bool = False
-    """Print the 95 % interval of every difference over logs, uncorrected, in the place of its p after Holm."""
+    """Print 95 % intervals over logs: of what is closed, and of differences, these instead of their p after Holm."""
     markdown: bool = False
     """Print a table for a page."""
 
@@ -137,10 +141,10 @@ class Transfer:
         errors = {name: f"{1e3 * row.headline.rotation_deg_per_m.mean:.2f}" for name, row in rows.items()}
         lines: list[list[Cell]] = [[title, "RTE", *(errors.get(name, "-") for name in shown)]]
         if "LINEAR" in rows:
-            best = scorer.row(self.track, place.brought(ORACLE, home, tested, self.track)).headline
-            worst = rows["LINEAR"].headline
-            closed = {name: _closed(row.headline, worst, best) for name, row in rows.items()}
-            lines.append([title, "closed, RTE / ATE", *(closed.get(name, "-") for name in shown)])
+            best = scorer.row(self.track, place.brought(ORACLE, home, tested, self.track))
+            of_scenes = np.array([scene.log for scene in tested.scenes])
+            way = {name: self._closed(row, rows["LINEAR"], best, of_scenes) for name, row in rows.items()}
+            lines.append([title, "closed, RTE / ATE", *(way.get(name, "-") for name in shown)])
         for other in (name for name in (*THERE, "MIXO", *map(there, THERE)) if name in rows):
             differences = (found.between(name, other) for name in shown)
             lines.append([title, f"- {other}", *(self._difference(one, logs >= FEWEST_LOGS) for one in differences)])
@@ -165,12 +169,14 @@ class Transfer:
             return f"{percent(found.share)} [{low:+.1f}, {high:+.1f}]"
         return f"{percent(found.share)} ({p_text(found.p_holm)})"
 
-
-def _closed(score: Score, worst: Score, best: Score) -> str:
-    """How far a row has come from one score to another, in RTE and in ATE."""
-    errors = [(one.rotation_deg_per_m.mean, one.ate_deg) for one in (score, worst, best)]
-    shares = ((far - own) / (far - near) for own, far, near in zip(*errors, strict=True))
-    return " / ".join(f"{round(100.0 * share)} %" for share in shares)
+    def _closed(self, row: Row, worst: Row, best: Row, logs: NDArray[np.str_]) -> str:
+        """How far a row has come from one to another, in RTE and in ATE."""
+        told = []
+        for errors_of in (relative, absolute):
+            share = closed(*(errors_of(one.errors["truth"], logs) for one in (row, worst, best)), seed=self.seed)
+            sure = self.intervals and share.groups >= FEWEST_LOGS
+            told.append(f"{round(share.mean)} %" + (f" [{share.low:.0f}, {share.high:.0f}]" if sure else ""))
+        return " / ".join(told)
 
 
 def main(arguments: list[str] | None = None) -> int:

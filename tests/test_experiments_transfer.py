@@ -10,12 +10,10 @@ import numpy as np
 import pytest
 
 from experiments.places import Place, alone, every
-from experiments.transfer import Transfer, _closed, main
+from experiments.transfer import Transfer, main
 from mixo_env.errors import ConfigurationError
 from mixo_env.leaderboard.crossvalidation import CrossValidation
 from mixo_env.leaderboard.evaluation import rollout
-from mixo_env.leaderboard.rows import Score
-from mixo_env.metrics.bootstrap import Interval
 from mixo_env.policies.policy import Policy
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.store import save_recordings
@@ -95,19 +93,14 @@ def test_the_table_has_every_place_and_no_p_of_few_logs(
         median, linear = (float(cell) for cell in lines["RTE"][:2])
         assert float(lines["- LINEAR"][0].partition(" %")[0]) == pytest.approx(100 * (median / linear - 1), abs=1.0)
         assert ("(" in lines["- LINEAR"][0]) == place.startswith("many")
-    shown = [str(cell) for row in replace(study, intervals=True).run().rows for cell in row]
-    found = [cell for cell in shown if "[" in cell]
-    assert found
-    for cell in found:
-        share, low, high = map(float, re.findall(r"[-+][\d.]+", cell))
-        assert low <= share <= high
+    shown = [[str(cell) for cell in row] for row in replace(study, intervals=True).run().rows]
+    for what, ends in (("- LINEAR", 1), ("closed, RTE / ATE", 2)):
+        found = [cell for row in shown if row[1] == what for cell in row[2:] if "[" in cell]
+        assert found
+        for cell in found:
+            numbers = [float(number) for number in re.findall(r"[-+]?[\d.]+", cell)]
+            assert len(numbers) == 3 * ends
+            for share, low, high in zip(*(numbers[k::3] for k in range(3)), strict=True):
+                assert low - 0.5 <= share <= high + 0.5  # as printed
     assert main(["--home", str(tmp_path / "none")]) == 1
     assert capsys.readouterr().out == ""
-
-
-def test_what_is_closed_is_a_share_of_the_way() -> None:
-    def score(rotation: float, ate_deg: float) -> Score:
-        one = Interval(rotation, rotation, rotation, 2, 0.95)
-        return Score(one, one, 10, 1, 1, 0.0, ate_deg, 0.0, 0.0)
-
-    assert _closed(score(2.0, 0.5), worst=score(3.0, 0.4), best=score(1.0, 0.2)) == "50 % / -50 %"
