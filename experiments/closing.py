@@ -22,6 +22,7 @@ from mixo_env.errors import ConfigurationError
 from mixo_env.geometry import FloatArray
 from mixo_env.leaderboard.crossvalidation import CrossValidation, Trial
 from mixo_env.leaderboard.evaluation import Errors, Truth, mean_errors
+from mixo_env.leaderboard.sentences import count_of
 from mixo_env.leaderboard.weights import shipped
 from mixo_env.metrics.bootstrap import RESAMPLES, Interval, per_group, resampled_means
 from mixo_env.recordings.collection import Recordings
@@ -74,11 +75,12 @@ class Closing:
                     line.append(told(of(worst, logs), of(best, logs), [of(errors, logs) for errors in seeds]))
         manifest = scale.recordings.manifest
         learned = f", learning from {sum(map(len, others))} scenes of other drives as well" if others else ""
+        spread = "; ± standard deviation of a single seed" if self.seeds > 1 else ""
         columns = (Column(f"{track}, {score} closed [%]") for track in self.tracks for score in ("RTE", "ATE"))
         return Table(
             f"{manifest.data_version}, {len(scale.recordings)} scenes, {len(np.unique(logs))} logs, {scale.truths[0]} "
             f"truth{learned}: share of the way from {FROM} to {TO} (privileged) by RTE in deg/m and by ATE in deg, "
-            f"of the mean errors of {self.seeds} seeds, with its 95 % interval over logs; ± standard deviation of one",
+            f"of the mean errors of {count_of(self.seeds, 'seed')}, with its 95 % interval over logs{spread}",
             (Column("row"), *columns),
             lines,
         )

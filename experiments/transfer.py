@@ -175,7 +175,7 @@ class Transfer:
         for errors_of in (relative, absolute):
             share = closed(*(errors_of(one.errors["truth"], logs) for one in (row, worst, best)), seed=self.seed)
             sure = self.intervals and share.groups >= FEWEST_LOGS
-            told.append(f"{round(share.mean)} %" + (f" [{share.low:.0f}, {share.high:.0f}]" if sure else ""))
+            told.append(f"{round(share.mean)} %" + (f" [{round(share.low)}, {round(share.high)}]" if sure else ""))
         return " / ".join(told)
 
 
