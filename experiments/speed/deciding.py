@@ -7,10 +7,15 @@ thread.
 
 from __future__ import annotations
 
+import os
 import statistics
 import sys
 import time
 from dataclasses import dataclass
+
+# Before numpy is loaded: threads for the products of an agent's layers go on spinning for a while, and their CPU time
+# would be counted with whatever is timed next.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 
