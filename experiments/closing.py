@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from experiments.bounds import FROM, TO
 from experiments.studies import print_study
 from mixo_env.errors import ConfigurationError
 from mixo_env.geometry import FloatArray
@@ -31,7 +32,6 @@ from mixo_env.recordings.store import load_recordings
 from mixo_env.recordings.truths import with_truth
 from mixo_env.tables import Cell, Column, Table
 
-FROM, TO = "LINEAR", "MULTICAMERA GT"
 CONFIDENCE = 0.95
 
 

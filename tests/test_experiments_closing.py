@@ -8,7 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments.closing import FROM, TO, Closing, absolute, beside, closed, errors_of, main, relative, told
+from experiments.bounds import FROM, TO
+from experiments.closing import Closing, absolute, beside, closed, errors_of, main, relative, told
 from mixo_env.errors import ConfigurationError
 from mixo_env.leaderboard.crossvalidation import CrossValidation
 from mixo_env.leaderboard.evaluation import Truth
