@@ -19,6 +19,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from experiments.closing import FROM, TO, share
 from experiments.studies import print_study
 from mixo_env.fusion import least_squares_weights, mix
 from mixo_env.leaderboard.crossvalidation import CrossValidation
@@ -30,8 +31,6 @@ from mixo_env.recordings.truths import with_truth
 from mixo_env.tables import Cell, Column, Table
 
 FloatArray = NDArray[np.float64]
-
-FROM, TO = "LINEAR", "MULTICAMERA GT"
 
 SMALLEST_RAD = 1e-6
 """An error below this is no smaller: weights stay finite."""
@@ -91,7 +90,7 @@ def study(protocol: CrossValidation, track: str) -> Iterator[tuple[str, tuple[fl
 
     def closed(weights: FloatArray) -> tuple[float, float]:
         own = _scores(truth.measure(with_wheels(recordings, mix(weights, votes))))
-        rotation, heading = 100.0 * (worst - own) / (worst - best)
+        rotation, heading = share(np.stack([own, worst, best]))
         return float(rotation), float(heading)
 
     yield "constant, of every log in hindsight", closed(by_log(recordings, votes, turns))

@@ -1,6 +1,6 @@
 """How much of the way from LINEAR to MULTICAMERA GT a row closes, how sure that is, and how much of it seeds decide.
 
-    python -m experiments.closing                                           bundled recordings: some 20 CPU minutes
+    python -m experiments.closing                                           bundled recordings: 15 CPU minutes
     python -m experiments.closing --rows TRIO --more city-of-seed-101 city-of-seed-102    would more drives help?
 
 The share is that of the mean errors over seeds, by the headline's truth. Its interval draws logs and takes the share of
@@ -17,7 +17,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from experiments.bounds import FROM, TO
 from experiments.studies import print_study
 from mixo_env.errors import ConfigurationError
 from mixo_env.geometry import FloatArray
@@ -25,14 +24,15 @@ from mixo_env.leaderboard.crossvalidation import CrossValidation, Trial
 from mixo_env.leaderboard.evaluation import Errors, Truth, mean_errors
 from mixo_env.leaderboard.sentences import count_of
 from mixo_env.leaderboard.weights import shipped
-from mixo_env.metrics.bootstrap import RESAMPLES, Interval, per_group, resampled_means
+from mixo_env.metrics.bootstrap import RESAMPLES, Interval, per_group, percentile_interval, resampled_means
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.folds import OUT_OF_DISTRIBUTION
 from mixo_env.recordings.store import load_recordings
 from mixo_env.recordings.truths import with_truth
 from mixo_env.tables import Cell, Column, Table
 
-CONFIDENCE = 0.95
+FROM, TO = "LINEAR", "MULTICAMERA GT"
+"""The way: from the paper's constant weights to the oracle of its equation 2."""
 
 
 @dataclass(frozen=True)
@@ -67,10 +67,11 @@ class Closing:
         taught = CrossValidation(beside(own, others), trial, tested_folds=scale.folds) if others else scale
         lines: list[list[Cell]] = [[row] for row in self.rows]
         logs = np.array([scene.log for scene in scale.recordings.scenes])
+        truth = Truth(with_truth(scale.recordings, scale.truths[0]))
         for track in self.tracks:
-            worst, best = (mean_errors(errors_of(scale, name, track)) for name in (FROM, TO))
+            worst, best = (mean_errors(errors_of(scale, truth, name, track)) for name in (FROM, TO))
             for line, row in zip(lines, self.rows, strict=True):
-                seeds = errors_of(taught, row, track)
+                seeds = errors_of(taught, truth, row, track)
                 for of in (relative, absolute):
                     line.append(told(of(worst, logs), of(best, logs), [of(errors, logs) for errors in seeds]))
         manifest = scale.recordings.manifest
@@ -117,14 +118,13 @@ def beside(own: Recordings, others: Sequence[Recordings]) -> Recordings:
     return Recordings(manifest, {name: np.concatenate([part[name] for part in (own, *others)]) for name in shared})
 
 
-def errors_of(protocol: CrossValidation, name: str, track: str) -> list[Errors]:
-    """Of every seed, by the headline's truth."""
-    truth = Truth(with_truth(protocol.recordings, protocol.truths[0]))
+def errors_of(protocol: CrossValidation, truth: Truth, name: str, track: str) -> list[Errors]:
+    """Of every seed; ``truth`` is the headline's of the scenes that are scored."""
     return [truth.measure(travel) for travel in protocol.run(name, track).travels[protocol.truths[0]]]
 
 
 Sums = tuple[FloatArray, FloatArray]
-"""Of the errors of every log, and their number."""
+"""Sums of the errors of every log, and their number, ``(logs,)`` each."""
 
 
 def relative(errors: Errors, logs: NDArray[np.str_]) -> Sums:
@@ -138,18 +138,21 @@ def absolute(errors: Errors, logs: NDArray[np.str_]) -> Sums:
 
 
 def closed(own: Sums, worst: Sums, best: Sums, *, seed: int = 0) -> Interval:
-    """Share of the way [%] from one mean to another, with the interval of that share over logs."""
+    """Share of the way [%] from the worst mean to the best, with the interval of that share over logs.
+
+    Args:
+        own: errors of the row.
+        worst: of the same samples where the way begins.
+        best: where it ends.
+        seed: of the draws.
+    """
     sums, counts = np.stack([own[0], worst[0], best[0]], axis=1), own[1]
     drawn = resampled_means(sums, counts, RESAMPLES, seed)
-    mean = share(sums.sum(axis=0) / counts.sum())
-    if not len(drawn):
-        return Interval(float(mean), float("nan"), float("nan"), len(counts), CONFIDENCE)
-    low, high = np.quantile(share(drawn.T), [0.5 - CONFIDENCE / 2.0, 0.5 + CONFIDENCE / 2.0])
-    return Interval(float(mean), float(low), float(high), len(counts), CONFIDENCE)
+    return percentile_interval(float(share(sums.sum(axis=0) / counts.sum())), share(drawn.T), len(counts))
 
 
 def share(means: FloatArray) -> FloatArray:
-    """Of own, worst and best means ``(3, ...)``, in %."""
+    """What own means close of the way from worst to best ones [%]; ``means`` holds the three, ``(3, ...)``."""
     own, worst, best = means
     return 100.0 * (worst - own) / (worst - best)
 

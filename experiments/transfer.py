@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from experiments.closing import absolute, closed, relative
+from experiments.closing import FROM, TO, absolute, closed, relative
 from experiments.places import Place, variants_of
 from experiments.real_experts import RealExperts, imported
 from experiments.studies import print_study
@@ -43,9 +43,6 @@ logger = logging.getLogger(__name__)
 
 THERE = ("LINEAR", "HUBER")
 """What everyone is compared with, beside MIXO. LINEAR is fitted where scored, too; HUBER where it cannot be brought."""
-
-ORACLE = "MULTICAMERA GT"
-"""The bound: how much of the way to it from LINEAR a row goes is what it closes."""
 
 NIGHT = "night"
 
@@ -98,7 +95,7 @@ class Transfer:
         told = "their 95 % interval over logs" if self.intervals else "p after Holm over all pairs of a place"
         caption = (
             f"Fitted on {home.recordings.manifest.data_version}, track {self.track}, and played elsewhere without "
-            f"refitting: headline RTE [10⁻³ deg/m]; share of the way from LINEAR to {ORACLE} (privileged), by RTE and "
+            f"refitting: headline RTE [10⁻³ deg/m]; share of the way from {FROM} to {TO} (privileged), by RTE and "
             f"by ATE [deg]; paired differences with {told}, none with fewer than {FEWEST_LOGS} logs; THERE: fitted by "
             "cross-validation where it is scored"
         )
@@ -140,10 +137,10 @@ class Transfer:
         title = f"{place.name} ({len(tested)} scenes, {logs} logs)"
         errors = {name: f"{1e3 * row.headline.rotation_deg_per_m.mean:.2f}" for name, row in rows.items()}
         lines: list[list[Cell]] = [[title, "RTE", *(errors.get(name, "-") for name in shown)]]
-        if "LINEAR" in rows:
-            best = scorer.row(self.track, place.brought(ORACLE, home, tested, self.track))
+        if FROM in rows:
+            best = scorer.row(self.track, place.brought(TO, home, tested, self.track))
             of_scenes = np.array([scene.log for scene in tested.scenes])
-            way = {name: self._closed(row, rows["LINEAR"], best, of_scenes) for name, row in rows.items()}
+            way = {name: self._closed(row, rows[FROM], best, of_scenes) for name, row in rows.items()}
             lines.append([title, "closed, RTE / ATE", *(way.get(name, "-") for name in shown)])
         for other in (name for name in (*THERE, "MIXO", *map(there, THERE)) if name in rows):
             differences = (found.between(name, other) for name in shown)
@@ -170,7 +167,7 @@ class Transfer:
         return f"{percent(found.share)} ({p_text(found.p_holm)})"
 
     def _closed(self, row: Row, worst: Row, best: Row, logs: NDArray[np.str_]) -> str:
-        """How far a row has come from one to another, in RTE and in ATE."""
+        """Share of the way from one row to another, by RTE and by ATE; ``logs`` ``(scenes,)``."""
         told = []
         for errors_of in (relative, absolute):
             share = closed(*(errors_of(one.errors["truth"], logs) for one in (row, worst, best)), seed=self.seed)

@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from experiments.bounds import FROM, SMALLEST_RAD, TO, Bounds, Window, by_log, by_size, main, study
+from experiments.bounds import SMALLEST_RAD, Bounds, Window, by_log, by_size, main, study
+from experiments.closing import FROM, TO
 from mixo_env.leaderboard.crossvalidation import CrossValidation
 from mixo_env.recordings.collection import Recordings
 from mixo_env.recordings.store import save_recordings

@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from experiments.bounds import FROM, TO
-from experiments.closing import Closing, absolute, beside, closed, errors_of, main, relative, told
+from experiments.closing import FROM, TO, Closing, absolute, beside, closed, errors_of, main, relative, told
 from mixo_env.errors import ConfigurationError
 from mixo_env.leaderboard.crossvalidation import CrossValidation
 from mixo_env.leaderboard.evaluation import Truth
@@ -34,7 +33,7 @@ def test_a_share_by_hand() -> None:
 
 
 def test_the_interval_is_that_of_the_share_taken_anew_in_every_draw() -> None:
-    """An independent bootstrap, log by log, of shares that differ much more than their errors do."""
+    """An independent bootstrap, log by log, of shares that differ much less than the errors do."""
     rng = np.random.default_rng(0)
     hard = rng.uniform(0.5, 3.0, 40)  # what is common to all rows does not make the share unsure
     worst, best = 4.0 * hard, hard
@@ -86,7 +85,9 @@ def test_other_drives_are_learned_from_and_never_scored(tmp_path: Path) -> None:
     for i, scene in enumerate(other.scenes):
         for column, values in joined.rows(f"1: {scene.name}").items():
             np.testing.assert_array_equal(values, other.rows(i)[column])
-    alone, more = (errors_of(CrossValidation(r, tested_folds=(0, 1)), "LINEAR", "VISION") for r in (own, joined))
+    truth = Truth(with_truth(protocol.recordings, protocol.truths[0]))
+    divided = (CrossValidation(recordings, tested_folds=(0, 1)) for recordings in (own, joined))
+    alone, more = (errors_of(division, truth, "LINEAR", "VISION") for division in divided)
     logs = np.array([scene.log for scene in own.scenes])
     for of in (relative, absolute):
         np.testing.assert_array_equal(of(alone[0], logs)[1], of(more[0], logs)[1])

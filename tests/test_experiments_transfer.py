@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from experiments.closing import Closing
 from experiments.places import Place, alone, every
 from experiments.transfer import Transfer, main
 from mixo_env.errors import ConfigurationError
@@ -102,5 +103,9 @@ def test_the_table_has_every_place_and_no_p_of_few_logs(
             assert len(numbers) == 3 * ends
             for share, low, high in zip(*(numbers[k::3] for k in range(3)), strict=True):
                 assert low - 0.5 <= share <= high + 0.5  # as printed
+    alone_here = Closing(tmp_path / "home", rows=("MEDIAN",), tracks=("VISION",), seeds=1).run().rows[0][1:]
+    way = next(row[2] for row in shown if row[1] == "closed, RTE / ATE").split(" / ")  # few logs: no interval
+    for share, expected in zip(way, alone_here, strict=True):
+        assert float(share.removesuffix(" %")) == pytest.approx(float(str(expected).partition(" ")[0]), abs=0.56)
     assert main(["--home", str(tmp_path / "none")]) == 1
     assert capsys.readouterr().out == ""

@@ -30,8 +30,8 @@ from mixo_env.tables import Cell, Column, Table
 PEER = "HUBER"
 BATCHES = (1, 1024)
 STEPS = {1: 100, 1024: 40}
-"""Decided in a round, by scenes at once. A scene has some two hundred, so that what its first one costs in memory never
-used before counts little."""
+"""Decided in a round, by scenes at once. Many: a scene has some two hundred, and the first is dear, for its memory is
+new."""
 
 
 @dataclass(frozen=True)

@@ -56,7 +56,8 @@ def interval_over_groups(
     sums, counts = per_group(values, groups)
     if not 0.0 < confidence < 1.0:
         raise ConfigurationError(f"expected a confidence between 0 and 1, got {confidence}; 0.95 is usual")
-    return _interval(sums, resampled_means(sums, counts, resamples, seed), counts, confidence)
+    mean = float(sums.sum() / counts.sum()) if len(sums) else float("nan")
+    return percentile_interval(mean, resampled_means(sums, counts, resamples, seed), len(sums), confidence)
 
 
 def resampled_means(sums: FloatArray, counts: FloatArray, resamples: int, seed: int) -> FloatArray:
@@ -86,12 +87,19 @@ def draws(groups: int, resamples: int, seed: int) -> FloatArray:
     return shared
 
 
-def _interval(sums: FloatArray, means: FloatArray, counts: FloatArray, confidence: float) -> Interval:
-    mean = float(sums.sum() / counts.sum()) if len(sums) else float("nan")
-    if not len(means):
-        return Interval(mean, float("nan"), float("nan"), len(sums), confidence)
-    low, high = np.quantile(means, [0.5 - confidence / 2.0, 0.5 + confidence / 2.0])
-    return Interval(mean, float(low), float(high), len(sums), confidence)
+def percentile_interval(value: float, drawn: FloatArray, groups: int, confidence: float = 0.95) -> Interval:
+    """A statistic of all groups with the percentiles of what it is in every draw of them.
+
+    Args:
+        value: the statistic.
+        drawn: of every draw that has one; none below two groups.
+        groups: their number.
+        confidence: share of draws inside the interval.
+    """
+    if not len(drawn):
+        return Interval(value, float("nan"), float("nan"), groups, confidence)
+    low, high = np.quantile(drawn, [0.5 - confidence / 2.0, 0.5 + confidence / 2.0])
+    return Interval(value, float(low), float(high), groups, confidence)
 
 
 def holm(p_values: Mapping[Name, float]) -> dict[Name, float]:

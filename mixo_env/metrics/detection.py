@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from mixo_env.errors import ConfigurationError
 from mixo_env.geometry import FloatArray
-from mixo_env.metrics.bootstrap import RESAMPLES, Interval, draws
+from mixo_env.metrics.bootstrap import RESAMPLES, Interval, draws, percentile_interval
 
 
 def roc(signal: ArrayLike, event: ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -83,8 +83,7 @@ def area_under_roc(
     drawn = draws(len(names), resamples, seed)
     with np.errstate(divide="ignore", invalid="ignore"):
         areas = ((drawn @ won) * drawn).sum(axis=1) / ((drawn @ events) * (drawn @ quiet))
-    low, high = np.nanquantile(areas, [0.5 - confidence / 2.0, 0.5 + confidence / 2.0])
-    return Interval(mean, float(low), float(high), len(names), confidence)
+    return percentile_interval(mean, areas[~np.isnan(areas)], len(names), confidence)
 
 
 def _pairs_won(value: FloatArray, happened: NDArray[np.bool_], group: NDArray[np.intp], groups: int) -> FloatArray:
